@@ -8,12 +8,13 @@ import signal
 import subprocess
 import sys
 from contextlib import suppress
+from functools import partial
 
 import pytest
 
 import cosim
 from cosim.cli import main
-from cosim.terminal import show_count, show_members
+from cosim.terminal import show_count, show_members, show_progress
 from tests.fmi.archives import write
 from tests.log.crafting import put_together, take_apart
 
@@ -179,38 +180,25 @@ class Tty(io.StringIO):
         return True
 
 
-@pytest.mark.parametrize(
-    ("stream", "hidden", "is_shown"),
-    [(Tty(), False, True), (Tty(), True, False), (io.StringIO(), False, False)],
-)
-def test_a_count_is_shown_on_a_terminal_alone(monkeypatch, stream, hidden, is_shown):
+SHOWN = [
+    (show_progress, [(0.5, 20.0), (2.0, 20.0)], {}, r"t = 2\.00 of 20 s.*\d x real time.*:"),
+    (partial(show_count, what="programs solved"), [(41,)], {}, "programs solved: 41"),
+    (show_members, [(400, 1000, 0), (410, 1000, 3)], {}, "410 of 1000 members, 3 failed"),
+    (show_members, [(2, 5, 0)], {"what": "logs"}, "2 of 5 logs "),
+]
+
+
+@pytest.mark.parametrize(("show", "calls", "options", "text"), SHOWN)
+def test_progress_is_shown_on_a_terminal_alone(monkeypatch, show, calls, options, text):
     """In a pipe, a file or beside JSON nothing is written, not even what moves a cursor."""
-    monkeypatch.setattr(sys, "stderr", stream)
     monkeypatch.setenv("TERM", "xterm")
-    with show_count(hidden, "linear programs solved") as watch:
-        assert (watch is not None) == is_shown
-        if watch is not None:
-            watch(41)
-    assert ("linear programs solved: 41" in stream.getvalue()) == is_shown
-    assert is_shown or not stream.getvalue()
-
-
-@pytest.mark.parametrize(
-    ("stream", "hidden", "is_shown"),
-    [(Tty(), False, True), (Tty(), True, False), (io.StringIO(), False, False)],
-)
-def test_the_members_of_a_study_are_shown_on_a_terminal_alone(
-    monkeypatch, stream, hidden, is_shown
-):
-    """How many are done and how many of them failed; a resumed study does not begin at 0."""
-    monkeypatch.setattr(sys, "stderr", stream)
-    monkeypatch.setenv("TERM", "xterm")
-    with show_members(hidden) as watch:
-        assert (watch is not None) == is_shown
-        if watch is not None:
-            watch(400, 1000, 0)
-            watch(410, 1000, 3)
-            watch(2, 5, 0, what="logs")
-    assert ("410 of 1000 members, 3 failed" in stream.getvalue()) == is_shown
-    assert ("2 of 5 logs " in stream.getvalue()) == is_shown
-    assert is_shown or not stream.getvalue()
+    monkeypatch.setenv("COLUMNS", "120")
+    for stream, hidden in ((Tty(), False), (Tty(), True), (io.StringIO(), False)):
+        monkeypatch.setattr(sys, "stderr", stream)
+        with show(hidden) as watch:
+            if watch is not None:
+                for values in calls:
+                    watch(*values, **options)
+        is_shown = stream.isatty() and not hidden
+        assert (watch is not None, bool(stream.getvalue())) == (is_shown, is_shown)
+        assert not is_shown or re.search(text, stream.getvalue())

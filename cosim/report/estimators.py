@@ -15,7 +15,7 @@ from cosim.core.recording import Recording
 from cosim.errors import LogError
 from cosim.report.recorded_rows import element_names, has_signal
 from cosim.scenario import record
-from cosim.scenario.kinds.run_verdicts import OUTPUT_ERROR
+from cosim.scenario.kinds.identified_plant import OUTPUT_ERROR
 from cosim.theory.assessment.consistency import NOTHING_ELSE
 from cosim.theory.disturbances.excitation import describe_excitation, information
 from cosim.theory.documents import Bias, ParameterVerdict, Verdict

@@ -25,7 +25,7 @@ from cosim.log.contents.environment import WRITTEN
 from cosim.report.certificate import certificate_of
 from cosim.report.summary import summarize
 from cosim.scenario import record
-from cosim.scenario.building.build import DescribedScenario, describe
+from cosim.scenario.building.build import Builder, describe
 from cosim.scenario.building.coupling import described_gains, gain_values
 from cosim.scenario.data_files.field_file import field_data
 from cosim.scenario.document.document import find
@@ -337,7 +337,7 @@ def describe_scenario(name: str) -> Section:
     """
     described = describe(find(name))
     loaded = described.scenario
-    graph = described.graph
+    graph = None if described.unknown else described.graph()
     clock = described.clock
     settings = loaded.file.scenario
     stages = [] if graph is None else [stage.description for stage in graph.stages]
@@ -358,7 +358,7 @@ def describe_scenario(name: str) -> Section:
         "loops": [gain_values(gain) for gain in gains],
         "signals": signals,
         "connections": _connection_rows(described),
-        "metadata": dict(described.metadata),
+        "metadata": dict(described.context.metadata),
     }
     actions = [_action_row(action) for action in loaded.actions.values()]
     return {**content, "actions": actions} if actions else content
@@ -375,12 +375,12 @@ def _action_row(action: ActionTable) -> Section:
     return {"t": t, "signal": signals, "action": effect, "value": value}
 
 
-def _connection_rows(described: DescribedScenario) -> list[Section]:
+def _connection_rows(described: Builder) -> list[Section]:
     """Return the connections; of inputs that nothing drives their start values.
 
     Where the ports of some components are not known, the connections are as they are written.
     """
-    graph = described.graph
+    graph = None if described.unknown else described.graph()
     if graph is None:
         written = described.scenario.connections.items()
         return [_connection_row(*one, unit=_joined(one[1].unit)) for one in written]

@@ -168,13 +168,13 @@ def schedule_of(name: str) -> GraphSchedule:
     """
     described = describe(find(name))
     scenario = described.scenario
-    graph = described.graph
-    if graph is None:
+    if described.unknown:
         unknown = sorted(scenario.specs.keys() - described.components.keys())
         raise UsageError(
             f"{name}: the ports of {', '.join(unknown)} are defined by user code, which is not "
             f"imported here; {command('run')} writes the schedule to its log"
         )
+    graph = described.graph()
     step_ns = described.clock.step_ns
     stages = [_stage(number, stage) for number, stage in enumerate(graph.stages, start=1)]
     samplings = {}

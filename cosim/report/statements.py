@@ -41,6 +41,7 @@ from cosim.core.recorded.partial import declared_channels
 from cosim.core.recorded.signals import MOST_WARNINGS, WARNINGS, DistinctWarnings
 from cosim.core.recorders import Memory
 from cosim.core.signals import Channel
+from cosim.core.stepping.actions import AT_CONDITION
 from cosim.documents import plain
 from cosim.errors import quoted
 from cosim.log import Log
@@ -133,6 +134,9 @@ class Statements:
         # another version may say the same otherwise
         self._has_own_words = "cosim" not in environment_changes(source)
         recorded = {**source.designs, **settings_designs(source)}
+        for name in designs or {}:  # what was set at a condition was prepared for any time
+            at_condition = f"{AT_CONDITION} {name.partition(' ')[2]}"
+            recorded.setdefault(name, recorded.get(at_condition, {}))
         # an earlier version of cosim had other arrays; a replay goes by those
         self._older = [n for n, own in (designs or {}).items() if own.keys() != recorded[n].keys()]
         anew = None if designs is None else {n: designs[n] for n in designs if n not in self._older}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import cached_property
@@ -61,9 +61,8 @@ def export_component(
         If the file is wrong, or what the component rests on cannot be built.
     """
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
-    clock_of(
-        loaded.file.scenario
-    )  # whose times are on its grid, whatever the component takes of them
+    # whose times are on its grid, whatever the component takes of them
+    clock_of(loaded.file.scenario)
     out = out or Path("fmus") / f"{loaded.name}-{component}.fmu"
     check_fmu_to_write(out, force=force)
     if component not in loaded.specs:
@@ -95,11 +94,8 @@ def model_identifier(name: str) -> str:
     Characters that C does not have are written as ``_x2d_``, their number in hexadecimal; so is an
     underscore that begins what looks like that.
     """
-    return re.sub(r"[^A-Za-z0-9_]|_(?=x[0-9a-f]+([^A-Za-z0-9]|$))", _escaped, name)
-
-
-def _escaped(match: re.Match[str]) -> str:
-    return f"_x{ord(match[0]):x}_"
+    escaped = r"[^A-Za-z0-9_]|_(?=x[0-9a-f]+([^A-Za-z0-9]|$))"
+    return re.sub(escaped, lambda match: f"_x{ord(match[0]):x}_", name)
 
 
 # --- what is exported of a component ---
@@ -132,14 +128,18 @@ def _model(
     wiring = _GraphWiring(scenario, component, resources)
     model = spec.exportable(component, BuildContext(scenario, resources), wiring)
     interface = declare_units(model.interface, spec.units_of(model.interface))
-    model = replace(model, interface=interface)
-    inherits = any(signal.variability == "inherited" for signal in model.interface.outputs)
+    inherits = any(signal.variability == "inherited" for signal in interface.outputs)
     is_held = inherits and wiring.is_discrete
-    if has_events and is_held:
-        model = _discrete(model)
+    if has_events and is_held:  # over a step
+        inputs = _jumping(interface.inputs, interface.by_name)
+        outputs = _jumping(interface.outputs, interface.by_name)
+        interface = replace(interface, inputs=inputs, outputs=outputs)
     elif has_events and isinstance(model, DiscreteModel) and not model.kernel.affine:
-        model = _with_jumping_inputs(model, wiring)
-    return model, is_held
+        # inputs that jump, for no derivative leads beyond one
+        names = [signal.name for signal in interface.inputs]
+        inputs = _jumping(interface.inputs, list(filter(wiring.is_driven_by_discrete, names)))
+        interface = replace(interface, inputs=inputs)
+    return replace(model, interface=interface), is_held
 
 
 @final
@@ -170,29 +170,15 @@ class _GraphWiring:
     @property
     def is_discrete(self) -> bool:
         """Whether outputs that inherit their variability are discrete."""
-        for signal in self._graph.components[self._component].interface.outputs:
-            port = Port(self._component, signal.name)
-            if self._graph.variability(port) != "discrete":
-                return False
-        return True
+        outputs = self._graph.components[self._component].interface.outputs
+        ports = [Port(self._component, signal.name) for signal in outputs]
+        return all(self._graph.variability(port) == "discrete" for port in ports)
 
 
-def _discrete(model: Exportable) -> Exportable:
-    """Return the model with discrete signals only: all have a zero-order hold over a step."""
-    inputs = _discrete_signals(model.interface.inputs)
-    outputs = _discrete_signals(model.interface.outputs)
-    interface = replace(model.interface, inputs=inputs, outputs=outputs)
-    return replace(model, interface=interface)
-
-
-def _with_jumping_inputs(model: Exportable, wiring: _GraphWiring) -> Exportable:
-    """Return the model with those inputs discrete that jump, for no derivative leads beyond one."""
-    inputs: list[Signal] = []
-    for signal in model.interface.inputs:
-        jumping = wiring.is_driven_by_discrete(signal.name)
-        inputs.append(replace(signal, variability="discrete") if jumping else signal)
-    return replace(model, interface=replace(model.interface, inputs=tuple(inputs)))
-
-
-def _discrete_signals(signals: Iterable[Signal]) -> tuple[Signal, ...]:
-    return tuple(replace(signal, variability="discrete") for signal in signals)
+def _jumping(signals: Iterable[Signal], names: Container[str]) -> tuple[Signal, ...]:
+    """Return signals of which those of some names are discrete."""
+    jumping = []
+    for signal in signals:
+        is_discrete = signal.name in names
+        jumping.append(replace(signal, variability="discrete") if is_discrete else signal)
+    return tuple(jumping)

@@ -144,18 +144,13 @@ class Session:
             except BaseException as failure:
                 close(self._opened.recorder, error or failure)
                 raise
-            ended = error or self._simulation.error or self._early_end(how)
+            ended = error or self._simulation.error
+            if ended is None and self.steps_left:
+                reason = f"the session was {how} at t = {self.t} s, before its stop"
+                ended = Stopped(np.empty((0, 0)), reason, failed=False)
             close(self._opened.recorder, ended)
         if error is None:
             self._warn()
-
-    def _early_end(self, how: str) -> Stopped | None:
-        """Return why a session has no more steps, if it is before its stop."""
-        simulation = self._simulation
-        if not simulation.steps_left:
-            return None
-        reason = f"the session was {how} at t = {simulation.t} s, before its stop"
-        return Stopped(np.empty((0, 0)), reason, failed=False)
 
     # --- time ---
 

@@ -2,31 +2,62 @@
 
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 import cosim
 from cosim.native.numerics.expression import FUNCTIONS
-from cosim.report.tables.catalog import print_catalog, print_kind
-from cosim.scenario.document.schema import ModelTable, Settings
+from cosim.scenario.document.document import shipped
+from cosim.scenario.document.schema import ActionTable, ModelTable, RecordTable, Settings
 from cosim.scenario.kinds import KINDS
 
+TABLES = {
+    "settings": Settings,
+    "models": ModelTable,
+    "actions": ActionTable,
+    "record": RecordTable,
+}
 
-@pytest.mark.parametrize(("entry", "table"), [("settings", Settings), ("models", ModelTable)])
-def test_every_key_of_a_scenario_stands_in_the_catalog_with_its_meaning(entry, table, capsys):
-    """As text and as JSON, and none is without a meaning."""
-    print_catalog(as_json=True)
-    keys = json.loads(capsys.readouterr().out)[entry]
-    assert {key.partition(".")[0] for key in keys} == set(table.model_fields)
-    assert {"substeps.rtol", "substeps.atol", "substeps.min"} <= keys.keys() or table is ModelTable
-    assert all(key["description"] for key in keys.values())
-    print_catalog(as_json=False)
-    lines = capsys.readouterr().out.splitlines()
-    for name in table.model_fields:
-        assert any(line.split()[0] == name for line in lines if line.strip())
+
+@pytest.fixture
+def listed(call):
+    """Return what ``cosim list`` prints: lines, or the content of its JSON."""
+
+    def listed(*arguments):
+        code, out, err = call("list", *arguments)
+        assert (code, err) == (0, "")
+        return json.loads(out) if "--json" in arguments else out.splitlines()
+
+    return listed
+
+
+def test_everything_that_can_stand_in_a_scenario_is_listed(listed):
+    """Scenarios, kinds and the keys of every table with their meanings, as text and as JSON."""
+    found = listed("--json")
+    firsts = {line.split("\t")[0] for line in listed()}
+    assert set(found["scenarios"]) == set(shipped())
+    assert set(found["kinds"]) == set(KINDS)
+    assert set(found["scenarios"]) | set(found["kinds"]) <= firsts
+    for entry, table in TABLES.items():
+        assert {key.partition(".")[0] for key in found[entry]} == set(table.model_fields)
+        assert all(key["description"] for key in found[entry].values())
+        assert set(found[entry]) <= firsts
+    assert {"substeps.rtol", "substeps.atol", "substeps.min"} <= found["settings"].keys()
+
+
+def test_a_kind_has_its_ports_and_parameters_in_the_list(listed):
+    """Those that may be omitted in brackets; JSON has their defaults."""
+    lines = listed()
+    assert any(line.startswith("sum\tu1, u2, ... -> y\t") for line in lines)
+    (observer,) = [line for line in lines if line.startswith("unknown-input-observer\t")]
+    assert "model, [L], [poles]" in observer
+    assert any("cosim list KIND" in line for line in lines)
+    kinds = listed("--json")["kinds"]
+    rate = kinds["unknown-input-observer"]["parameters"]["filter_rate"]
+    assert (rate["required"], rate["default"]) == (False, None)
+    assert rate["description"].startswith("rate of the derivative filter [rad/s]")
+    assert kinds["descriptor"]["parameters"]["solver"]["default"] == "exact"
 
 
 @pytest.mark.parametrize("name", ["start_time", "coupling", "input_interpolation"])
@@ -37,48 +68,31 @@ def test_readme_names_the_keys_that_change_results(name):
     assert any(re.search(f"`{name}[` ]", page.read_text(encoding="utf-8")) for page in pages)
 
 
-def test_kinds_say_their_ports_and_expressions_their_functions(capsys):
-    """In the list, and where a kind is explained."""
-    print_catalog(as_json=False)
-    lines = capsys.readouterr().out.splitlines()
-    assert any(line.startswith("sum\tu1, u2, ... -> y\t") for line in lines)
-    print_kind("expression", as_json=False)
-    text = capsys.readouterr().out
+def test_a_kind_is_explained_with_default_meaning_and_unit(listed):
+    """Of every parameter, keys of inner tables too; an expression has its functions."""
+    first, *lines = listed("identifier")
+    assert first.startswith("identifier: Identification of theta by output error")
+    rows = {line.split("\t")[0]: line for line in lines}
+    assert re.match(r"P0\toptional\tleast-squares: .*P\(0\) = P0 I", rows["P0"])
+    assert re.match(r"start\.epsilon_filter\trequired\t.*in \(0, 1\)", rows["start.epsilon_filter"])
+    assert any(line.startswith('time\t"t"\tcolumn of the times') for line in listed("table"))
+    time, after = (listed("step", "--json")["parameters"][name] for name in ("time", "after"))
+    assert (time["description"], after["default"]) == ("time of the jump [s]", 1.0)
+    text = "\n".join(listed("expression"))
     assert "ports: [u1], [u2], ... -> y" in text
     assert all(f" {name}" in text for name in FUNCTIONS)
 
 
-def test_kinds_mark_what_may_be_set_in_a_run(capsys):
-    print_kind("pid", as_json=False)
-    lines = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
-    assert ["parameter", "default", "in a run", "meaning"] in lines
-    rows = {line[0]: line[2] for line in lines[3:]}
-    assert rows["gain"] == rows["upper"] == "tunable"
-    assert rows["period"] == rows["initial_integral"] == ""
-    print_kind("delay", as_json=False)
-    assert "parameter\tdefault\tmeaning" in capsys.readouterr().out.splitlines()
-    print_kind("fmu", as_json=False)
-    assert "tunable: parameters that the FMU declares tunable" in capsys.readouterr().out
-    print_kind("lag", as_json=True)
-    shown = json.loads(capsys.readouterr().out)
-    assert (shown["ports"], shown["tunable"]) == ("u -> y", ["time_constant"])
-
-
-def test_every_tunable_key_is_a_key_of_its_kind():
-    unknown = {name: set(kind.tunable) - set(kind.model_fields) for name, kind in KINDS.items()}
-    assert not any(unknown.values()), unknown
-
-
-@pytest.mark.slow
-def test_a_list_needs_no_numerical_library_but_numpy():
-    """It is what people call most often, and should not take a second."""
-    code = (
-        "import sys\n"
-        "from cosim.report.tables.catalog import print_catalog\n"
-        "print_catalog(as_json=False)\n"
-        "print([name for name in ('scipy', 'mcap', 'fmpy') if name in sys.modules])\n"
-    )
-    result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert result.stdout.splitlines()[-1] == "[]"
+def test_what_may_be_set_in_a_run_is_marked(listed):
+    """In a column of its own where a kind has such a key, which all are keys of their kinds."""
+    rows = [line.split("\t") for line in listed("pid")]
+    assert ["parameter", "default", "in a run", "meaning"] in rows
+    marks = {row[0]: row[2] for row in rows[3:]}
+    assert marks["gain"] == marks["upper"] == "tunable"
+    assert marks["period"] == marks["initial_integral"] == ""
+    assert "parameter\tdefault\tmeaning" in listed("delay")
+    assert "\ntunable: parameters that the FMU declares tunable" in "\n".join(listed("fmu"))
+    lag = listed("lag", "--json")
+    assert (lag["ports"], lag["tunable"]) == ("u -> y", ["time_constant"])
+    for kind in KINDS.values():
+        assert set(kind.tunable) <= set(kind.model_fields)

@@ -1,7 +1,6 @@
 """Several runs side by side: on several plants, by several estimators, replayed with others."""
 
 import json
-import re
 from itertools import product
 
 import numpy as np
@@ -21,25 +20,25 @@ from tests.scenario.field_recordings import BOTH, LOOP, field_log
 from tests.scenario.swapping.renamed import MAP, renamed
 
 SHORT = {"scenario.stop": 7.0}
-SHORTEST = {"scenario.stop": 0.1}
 COARSE = {"scenario.stop": 15.0, "scenario.step": 5e-3, "observer.filter_rate": 100.0}
 END = {"scenario.stop": 8.0}  # past the start of the identification at 6.461 s
 FAILING = """
-[scenario]
-name = "failing"
-stop = 0.2
-step = 0.01
-
+scenario = { name = "failing", stop = 0.2, step = 0.01 }
 [components]
 u = { kind = "sine", rate = 5.0 }
 v = { kind = "expression", y = "2 * u.y" }
 w = { kind = "expression", y = "t" }
 """
 NO_RUN = "cosim.scenario.recordings.recording.run_into"
+THETA = ("identifier.theta[0]", "identifier.theta[1]")
+
+
+# --- plants ---
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
+    """Make FMUs of the plant, one with other names, and a log."""
     folder = tmp_path_factory.mktemp("plants")
     export_component("academic", "plant", folder / "plant.fmu")
     renamed(folder / "other.fmu")
@@ -47,20 +46,11 @@ def folder(tmp_path_factory):
     return folder
 
 
-@pytest.fixture(scope="module")
-def four(folder):
-    """Run it generated, as FMI 2 model exchange and co-simulation, recorded."""
-    return compare(
-        "academic",
-        swap={"plant": [folder / "plant.fmu", f"{folder / 'plant.fmu'}#cs", folder / "log.mcap"]},
-        set=SHORT,
-    )
-
-
 def compare_two(folder, **options):
     """Compare the FMU of the plant and that with other names, without the scenario's own."""
     plants = [folder / "plant.fmu", folder / "other.fmu"]
-    return compare("academic", swap={"plant": plants}, set=SHORTEST, base=False, **options)
+    short = {"scenario.stop": 0.1}
+    return compare("academic", swap={"plant": plants}, set=short, base=False, **options)
 
 
 def errors(comparison):
@@ -68,12 +58,14 @@ def errors(comparison):
 
 
 @pytest.mark.slow
-def test_four_plants_are_one_scenario(four, tmp_path):
-    """The co-simulation FMU and the log have the bits of the generated plant.
+def test_four_plants_are_one_scenario(folder, tmp_path):
+    """Generated, as FMI 2 model exchange and co-simulation, recorded: the last two have its bits.
 
     Model exchange differs by rk4's error. That is (3 h)^4 / 120 = 7e-13 h a step, relative; over
     7 s less than 1e-11 in x_a, and delta_hat takes y times 1000.
     """
+    fmu = folder / "plant.fmu"
+    four = compare("academic", swap={"plant": [fmu, f"{fmu}#cs", folder / "log.mcap"]}, set=SHORT)
     labels = ["descriptor", "plant", "plant#cs", "log"]
     assert [outcome.label for outcome in four.outcomes] == labels
     assert four.estimates == {
@@ -97,29 +89,19 @@ def test_four_plants_are_one_scenario(four, tmp_path):
 
 
 @pytest.mark.slow
-def test_files_are_looked_into_for_a_map_alone(folder, monkeypatch):
-    """Without one their ports do not matter; each run reads its own."""
-    monkeypatch.setattr(comparing, "_ports", None)
-    alternatives = {"plant": [folder / "missing.fmu", folder / "lost.mcap"]}
-    found = compare("academic", swap=alternatives, set={"scenario.stop": 0.01})
-    assert [bool(error) for error in errors(found)] == [False, True, True]
-
-
-@pytest.mark.slow
 def test_a_failed_plant_does_not_lose_the_others(folder, tmp_path, call):
     """It stands in the table with its reason; exit 1; the logs of the others are there."""
     swaps = [f"--swap=plant={folder / name}" for name in ("plant.fmu#cs", "other.fmu", "nix.fmu")]
     command = ("compare", "academic", *swaps, "--set", "scenario.stop=7.0")
     code, out, _ = call(*command, "--out", tmp_path / "logs", "--json")
-    assert code == 1
     found = json.loads(out)
     plants = {plant["plant"]: plant for plant in found["plants"]}
-    assert list(plants) == ["descriptor", "plant#cs", "other", "nix"]
+    assert (code, list(plants)) == (1, ["descriptor", "plant#cs", "other", "nix"])
     assert "--map plant.y=out1" in plants["other"]["error"]
     assert "there is no such file" in plants["nix"]["error"]
     logs = sorted(path.name for path in (tmp_path / "logs").iterdir())
     assert logs == ["descriptor.mcap", "plant-cs.mcap"]
-    assert plants["plant#cs"]["summary"]["values"][0]["estimate"] == "identifier.theta[0]"
+    assert plants["plant#cs"]["summary"]["values"][0]["estimate"] == THETA[0]
     assert {row["label"] for row in found["differences"]} == {"plant#cs"}
     code, out, err = call(*command)
     assert code == 1
@@ -128,90 +110,52 @@ def test_a_failed_plant_does_not_lose_the_others(folder, tmp_path, call):
     assert "nix: failed: --swap plant: components.plant: " in err
 
 
-@pytest.mark.parametrize(
-    ("options", "places"),
-    [
-        (
-            ["--swap=plant=/dev/zero", "--swap=plant=a.fmu", "--swap=plant=a.fmu#xs"],
-            ["--swap plant: .*'/dev/zero'", "--swap plant: .*'#xs'"],
-        ),
-        (["--estimators=all", "--swap=plant=a.fmu", "--swap=plant=b.fmu"], [".*--swap plant"]),
-        (["--estimators=all", "--no-base"], ["--no-base"]),
-        ([], [".*--swap or --estimators"]),
-    ],
-    ids=["paths that no plant has", "several plants", "no base", "nothing"],
-)
-def test_wrong_use_is_refused_before_the_first_run(call, monkeypatch, options, places):
-    """All of it at once, exit 2; that a file is missing is the outcome of its plant."""
-    monkeypatch.setattr(NO_RUN, None)
-    code, out, err = call("compare", "academic", *options)
-    assert (code, out) == (2, "")
-    for line, place in zip(err.splitlines(), places, strict=True):
-        assert re.match(f"cosim: {place}", line)
-
-
 @pytest.mark.slow
-def test_a_wrong_alternative_is_refused_before_the_first_run(folder, monkeypatch):
-    """A key that one of them has is set there, and the outcome of the others."""
-    plants = {"plant": [folder / "plant.fmu", f"{folder / 'plant.fmu'}#cs"]}
-    with monkeypatch.context() as patch:
-        patch.setattr(NO_RUN, None)
-        with pytest.raises(UsageError, match=r"^set\['plant\.nope'\]: [^\n]*'nope'[^\n]*$"):
-            compare("academic", swap=plants, set={"plant.nope": 1.0})
+def test_a_key_that_one_plant_has_is_set_there(folder, monkeypatch):
+    """It is the outcome of the others; one that none has is refused before the first run."""
     mixed = {"plant": [folder / "plant.fmu", folder / "log.mcap"]}
-    changes = {"plant.solver": "RK23", **SHORTEST}
+    changes = {"plant.solver": "RK23", "scenario.stop": 0.1}
     found = compare("academic", swap=mixed, set=changes, base=False)
     assert [bool(error) for error in errors(found)] == [False, True]
+    monkeypatch.setattr(NO_RUN, None)
+    plants = {"plant": [folder / "plant.fmu", f"{folder / 'plant.fmu'}#cs"]}
+    with pytest.raises(UsageError, match=r"^set\['plant\.nope'\]: [^\n]*'nope'[^\n]*$"):
+        compare("academic", swap=plants, set={"plant.nope": 1.0})
 
 
 @pytest.mark.slow
-def test_a_map_is_for_those_that_have_its_names(folder):
-    """The renamed FMU needs it, the exported one keeps the scenario's names; each name counts."""
-    others = {port: names for port, names in MAP.items() if port != "plant.x_a"}
-    for entries in (
+@pytest.mark.parametrize(
+    "entries",
+    [
         {"plant.x_a": "s"},
         {"plant.x_a": "[s[0],s[1]]"},
         {"plant.x_a": ["s[0]", "s[1]"]},
         {"plant.x_a[1]": "s[1]", "plant.x_a[0]": "s[0]"},
-    ):
-        found = compare_two(folder, map={**others, **entries})
-        assert errors(found) == ["", ""]
-        assert found.estimates["observer.x_a"] == "plant.x_a"
-        plain, renamed_plant = found.recordings.values()
-        assert np.array_equal(plain["plant.x_a"], renamed_plant["plant.x_a"])
+    ],
+)
+def test_a_map_is_for_those_that_have_its_names(folder, entries):
+    """The renamed FMU needs it, the exported one keeps the scenario's names."""
+    others = {port: names for port, names in MAP.items() if port != "plant.x_a"}
+    found = compare_two(folder, map={**others, **entries})
+    assert errors(found) == ["", ""]
+    assert found.estimates["observer.x_a"] == "plant.x_a"
+    plain, renamed_plant = found.recordings.values()
+    assert np.array_equal(plain["plant.x_a"], renamed_plant["plant.x_a"])
+
+
+def test_a_map_that_does_not_fit_a_plant_is_its_failure(folder, monkeypatch):
+    """It is never left out there, and the others go on; a name that none has is refused."""
+    plain, renamed_plant = errors(compare_two(folder, map={**MAP, "plant.y": "s[7]"}))
+    assert plain == ""
+    assert "map['plant.y']" in renamed_plant
+    assert "s[7]" in renamed_plant
+    monkeypatch.setattr(NO_RUN, None)
     for port, names, wrong in (
         ("plant.u", "forse", "forse'.*'force'"),
         ("plant.x_a", ["s[0]", "q[1]"], r"'q\[1\]'"),
     ):
         with pytest.raises(UsageError, match=rf"map\['{port}'\]: .*{wrong}"):
             compare_two(folder, map={**MAP, port: names})
-
-
-@pytest.mark.slow
-def test_a_map_that_does_not_fit_an_alternative_is_its_failure(folder):
-    """It is for that which has the name; it is never left out there, and the others go on."""
-    found = compare_two(folder, map={**MAP, "plant.y": "s[7]"})
-    plain, renamed_plant = errors(found)
-    assert plain == ""
-    assert "map['plant.y']" in renamed_plant
-    assert "s[7]" in renamed_plant
-
-
-def test_an_interruption_is_no_outcome(folder, failing, monkeypatch):
-    """Neither of a plant, nor of an estimator, nor of a replay."""
-
-    def interrupted(*_, **__):
-        raise Interrupted("Ctrl-C")
-
-    monkeypatch.setattr(comparing, "replay", interrupted)
-    with pytest.raises(Interrupted):
-        cosim.compare_estimators("academic", estimators="drem", set=SHORTEST)
-    monkeypatch.setattr(Replays, "record", interrupted)
-    with pytest.raises(Interrupted):
-        cosim.replay_sweep(failing, vary={"u.amplitude": [1.0]})
-    monkeypatch.setattr(comparing, "run", interrupted)
-    with pytest.raises(Interrupted):
-        compare_two(folder)
 
 
 @pytest.mark.parametrize(
@@ -223,11 +167,30 @@ def test_an_interruption_is_no_outcome(folder, failing, monkeypatch):
         (["plant"], {"base": False}, r"swap\['plant'\]: .*two plants"),
     ],
 )
-def test_problems_of_all_plants_are_raised_once(folder, names, options, message):
-    """Before anything runs."""
+def test_wrong_plants_are_refused_before_the_first_run(
+    folder, monkeypatch, names, options, message
+):
+    monkeypatch.setattr(NO_RUN, None)
     swap = {name: [folder / "plant.fmu"] for name in names}
     with pytest.raises((ScenarioError, UsageError), match=message):
         compare("academic", swap=swap, **options)
+
+
+def test_an_interruption_is_no_outcome(folder, failing, monkeypatch):
+    """Neither of a plant, nor of an estimator, nor of a replay."""
+
+    def interrupted(*_, **__):
+        raise Interrupted("Ctrl-C")
+
+    monkeypatch.setattr(comparing, "replay", interrupted)
+    with pytest.raises(Interrupted):
+        cosim.compare_estimators("academic", estimators="drem", set={"scenario.stop": 0.1})
+    monkeypatch.setattr(Replays, "record", interrupted)
+    with pytest.raises(Interrupted):
+        cosim.replay_sweep(failing, vary={"u.amplitude": [1.0]})
+    monkeypatch.setattr(comparing, "run", interrupted)
+    with pytest.raises(Interrupted):
+        compare_two(folder)
 
 
 # --- estimators ---
@@ -242,9 +205,8 @@ def compared():
 def test_every_method_estimates_from_the_same_data(compared, tmp_path):
     """Each replay has the recorded y, the error is that of its last theta; all are drawn."""
     assert [result.method for result in compared.results] == list(METHODS)
-    recordings = compared.recordings
-    assert list(recordings) == list(METHODS)
-    first = recordings["output-error"]
+    assert list(compared.recordings) == list(METHODS)
+    first = compared.recordings["output-error"]
     for result in compared.results:
         np.testing.assert_array_equal(result.recording["plant.y"], first["plant.y"])
         theta = result.recording["identifier.theta"][-1]
@@ -256,44 +218,41 @@ def test_every_method_estimates_from_the_same_data(compared, tmp_path):
 
 
 @pytest.mark.slow
-def test_every_estimate_is_judged_by_the_data(compared):
-    """A biased one is said to be so, whatever the method says of itself; not all say something."""
-    for result in compared.results:
-        for record, error in zip(result.verdicts, result.error, strict=True):
-            assert (record.value is None) == bool(np.isnan(error))
-    verdicts = {r.method: [record.verdict for record in r.verdicts] for r in compared.results}
-    assert verdicts["output-error"] == ["IDENTIFIABLE"] * 2
-    assert verdicts["least-squares"] == ["INCONSISTENT"] * 2
-    stated = {r.method for r in compared.results if r.standard_error is not None}
-    assert "output-error" in stated
-    assert stated.isdisjoint({"least-squares", "projection", "rayleigh", "drem", "gradient"})
+def test_every_estimate_is_judged_by_the_data(compared, capsys):
+    """A biased one is said to be so, whatever the method says of itself; not all say something.
 
-
-@pytest.mark.slow
-def test_the_table_shows_half_of_the_intervals_that_the_verdicts_have(compared, capsys):
-    """As the table of a run does; 1.96 standard errors, and none beside INCONSISTENT."""
+    The table shows half of the intervals that the verdicts have, 1.96 standard errors, and none
+    beside INCONSISTENT.
+    """
     print_estimators(compared, as_json=False)
     lines = capsys.readouterr().out.splitlines()
     shown = {line.split("\t")[0]: line.split("\t") for line in lines[2:]}
     assert any("half width of the 95 % interval" in line for line in lines)
     for result in compared.results:
         assert shown[result.method][1].count("±") == np.isfinite(result.half_width).sum()
-        for record, half_width in zip(result.verdicts, result.half_width, strict=True):
+        of_theta = zip(result.verdicts, result.error, result.half_width, strict=True)
+        for record, error, half_width in of_theta:
+            assert (record.value is None) == bool(np.isnan(error))
             assert record.verdict in ("IDENTIFIABLE", "WEAK") or np.isnan(half_width)
-    (found,) = [result for result in compared.results if result.method == "output-error"]
+    found = {result.method: result for result in compared.results}
+    verdicts = {name: [one.verdict for one in own.verdicts] for name, own in found.items()}
+    assert verdicts["output-error"] == ["IDENTIFIABLE"] * 2
+    assert verdicts["least-squares"] == ["INCONSISTENT"] * 2
+    stated = {name for name, own in found.items() if own.standard_error is not None}
+    assert "output-error" in stated
+    assert stated.isdisjoint({"least-squares", "projection", "rayleigh", "drem", "gradient"})
+    best = found["output-error"]
     # the ends of an interval of 1e-14 around 0.3 are rounded to 5e-17
-    np.testing.assert_allclose(found.half_width, 1.96 * found.standard_error, rtol=1e-2)
-    assert f"± {found.half_width[0]:.2g}" in shown["output-error"][1]
+    np.testing.assert_allclose(best.half_width, 1.96 * best.standard_error, rtol=1e-2)
+    assert f"± {best.half_width[0]:.2g}" in shown["output-error"][1]
 
 
 @pytest.mark.slow
 def test_keys_of_another_method_are_left_out():
     """P0 belongs to least squares: the others run without it, least squares with it."""
-    found = cosim.compare_estimators(
-        "academic-as-printed",
-        estimators=["least-squares", "drem"],
-        set={**COARSE, "identifier.P0": 1.0},
-    )
+    changes = {**COARSE, "identifier.P0": 1.0}
+    both = ["least-squares", "drem"]
+    found = cosim.compare_estimators("academic-as-printed", estimators=both, set=changes)
     bare = cosim.compare_estimators("academic", estimators="least-squares", set=COARSE)
     least_squares, drem = found.results
     assert not drem.failure
@@ -316,22 +275,19 @@ def test_unknown_methods_and_missing_identifiers_are_refused(scenario, estimator
 
 
 @pytest.mark.slow
-def test_the_table_and_json_say_the_same(call, tmp_path):
+def test_table_and_json_of_estimators_say_the_same(call, tmp_path):
     """One row a method; no value where a theta has none; logs in the folder."""
-    settings = [f"--set={key}={value}" for key, value in {**COARSE, "scenario.stop": 8.0}.items()]
+    settings = [f"--set={key}={value}" for key, value in {**COARSE, **END}.items()]
     arguments = ["compare", "academic", "--estimators", "drem,rayleigh", *settings]
     code, out, _ = call(*arguments)
-    assert code == 0
-    _, header, *rows = [line.split("\t") for line in out.splitlines()]
-    assert header[:3] == ["method", "theta", "error"]
-    assert [row[0] for row in rows[:2]] == ["drem", "rayleigh"]
+    _, header, drem, rayleigh, *_ = [line.split("\t") for line in out.splitlines()]
+    assert (code, header[:3]) == (0, ["method", "theta", "error"])
+    assert rayleigh[:2] == ["rayleigh", "no value, no value"]
     code, out, _ = call(*arguments, "--json", "--out", tmp_path)
-    assert code == 0
     methods = {entry["method"]: entry for entry in json.loads(out)["methods"]}
-    assert methods["drem"]["standard_error"] is None
-    assert f"{methods['drem']['theta'][0]:+.6f}" in rows[0][1]
+    assert (code, methods["drem"]["standard_error"]) == (0, None)
+    assert drem[1].startswith(f"{methods['drem']['theta'][0]:+.6f}")
     assert methods["rayleigh"]["theta"] == [None, None]
-    assert rows[1][1] == "no value, no value"
     assert methods["rayleigh"]["time_ratio"] > 0.0
     logs = sorted(path.name for path in tmp_path.iterdir())
     assert logs == ["academic.mcap", "drem.mcap", "rayleigh.mcap"]
@@ -376,14 +332,25 @@ def failing(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_each_row_is_a_replay_of_its_own(log):
+def test_each_row_is_a_replay_of_its_own(log, monkeypatch):
     """With the values of its row and those that all have; in the order of the product.
 
-    Its results are estimates, errors, verdicts and noise, by the names of the table.
+    Its results are estimates, errors, verdicts and noise, by the names of the table. The log is
+    read once for all of them.
     """
+    rows = []
+
+    def recorded(replays, *arguments, **options):
+        rows.append(replays.source.rows("plant"))
+        return record(replays, *arguments, **options)
+
+    record = Replays.record
+    monkeypatch.setattr(Replays, "record", recorded)
     common = {"observer.filter_rate": 500.0}
     vary = {"identifier.P0": [1e3, 1e9], "identifier.start": [7.0, 7.5]}
-    sweep = cosim.replay_sweep(log, vary=vary, set=common)
+    sweep = cosim.replay_sweep(log.path, vary=vary, set=common)
+    assert len(rows) == 4
+    assert all(np.shares_memory(rows[0], other) for other in rows[1:])
     assert sweep.varied == tuple(vary)
     values = [tuple(row.values.values()) for row in sweep.rows]
     assert values == list(product(*vary.values()))
@@ -393,43 +360,17 @@ def test_each_row_is_a_replay_of_its_own(log):
         results = row.results
         assert results == results_of(summarize(again))
         assert set(sweep.columns) == set(results)
-        theta = [results[f"identifier.theta[{number}]"] for number in (0, 1)]
+        theta = [results[name] for name in THETA]
         assert theta == again["identifier.theta"][-1].tolist()
-        errors = [results[f"identifier.theta[{number}] error"] for number in (0, 1)]
-        assert errors == np.abs(np.array(theta) - [-0.1, -0.3]).tolist()
+        apart = [results[f"{name} error"] for name in THETA]
+        assert apart == np.abs(np.array(theta) - [-0.1, -0.3]).tolist()
         assert isinstance(results["identifier verdict"], str)
         assert results["identifier noise"] > 0.0
         assert results["observer.x_a rms error"] <= results["observer.x_a largest error"]
     assert sweep["nothing"] == [None] * 4
-    assert len(set(sweep["identifier.theta[0]"])) == 4
+    assert len(set(sweep[THETA[0]])) == 4
     assert sweep.passed
     assert not list(log.path.parent.glob("*[0-9].mcap"))
-
-
-def test_without_a_truth_the_results_are_the_last_values(failing):
-    """Of all outputs."""
-    sweep = cosim.replay_sweep(failing, vary={"u.amplitude": [1.0, 3.0]})
-    assert sweep.columns == ("u.y", "v.y", "w.y")
-    first, second = sweep["u.y"]
-    assert second == pytest.approx(3.0 * first)
-
-
-@pytest.mark.slow
-def test_the_log_is_opened_and_read_once(log, monkeypatch):
-    """All replays have the same log in memory."""
-    sources = []
-    rows = []
-
-    def recorded(replays, *arguments, **options):
-        sources.append(replays.source)
-        rows.append(replays.source.rows("plant"))
-        return record(replays, *arguments, **options)
-
-    record = Replays.record
-    monkeypatch.setattr(Replays, "record", recorded)
-    cosim.replay_sweep(log.path, vary={"identifier.P0": [1e3, 1e6, 1e9]})
-    assert len({id(source) for source in sources}) == 1
-    assert all(np.shares_memory(rows[0], other) for other in rows[1:])
 
 
 @pytest.mark.slow
@@ -438,34 +379,45 @@ def test_the_parts_of_a_rotated_log_are_replayed_together(log, tmp_path):
     last = cosim.run("academic-as-printed", out=tmp_path / "a.mcap", set=END, rotate="5s")
     assert last.path.name == "a.part2.mcap"
     vary = {"identifier.P0": [1e3, 1e9]}
-    parts = cosim.replay_sweep(last.path, vary=vary)
-    whole = cosim.replay_sweep(log, vary=vary)
+    parts, whole = (cosim.replay_sweep(source, vary=vary) for source in (last.path, log))
     assert parts.log == str(last.path)
     assert [row.results for row in parts.rows] == [row.results for row in whole.rows]
 
 
 @pytest.mark.slow
-def test_all_combinations_are_checked_before_the_first_runs(log, failing, tmp_path):
-    """The message names the one that is wrong, and nothing was written."""
-    for vary, message in (
+@pytest.mark.parametrize(
+    ("vary", "message"),
+    [
         ({"identifier.P0": [1e3, -1.0]}, r"identifier\.P0 = -1\.0: .*P0: .*-1\.0"),
         ({"plant.solver": ["RK45"]}, r"plant.solver = 'RK45': .*'plant'"),
         ({"identifer.P0": [1.0]}, r"identifer.P0 = 1.0: .*component 'identifer"),
         ({"observer.L": [[8.0, 0.0], [-50.0, 0.0]]}, r"observer.L = \[-50.0, 0.0\]: .*Hurwitz"),
-    ):
-        with pytest.raises(UsageError, match=message):
-            cosim.replay_sweep(log, vary=vary, out=tmp_path / "out")
+        ({"u.amplitude": [1.0, 2.0]}, "rerun=True"),  # the plant and its input are of the log
+    ],
+)
+def test_all_combinations_are_checked_before_the_first_runs(log, tmp_path, vary, message):
+    """The message names the one that is wrong, and nothing was written."""
+    with pytest.raises(UsageError, match=message):
+        cosim.replay_sweep(log, vary=vary, out=tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_plants_of_models_are_varied_in_a_rerun(log):
+    """Nothing of them is taken from the log then."""
+    sweep = cosim.replay_sweep(log, vary={"u.amplitude": [1.0, 2.0]}, rerun=True)
+    run = cosim.run("academic-as-printed", set={**END, "u.amplitude": 2.0})
+    assert sweep.rows[1].results[THETA[0]] == run["identifier.theta"][-1, 0]
+
+
+def test_a_varied_key_cannot_be_set_too(failing):
+    """In whichever spelling."""
+    message = r"set\['u.amplitude'\] or vary\['u.amplitude'\], got both"
+    vary = {"components.u.amplitude": [1.0]}
+    with pytest.raises(UsageError, match=message):
+        cosim.replay_sweep(failing, vary=vary, set={"u.amplitude": 2.0})
     with pytest.raises(UsageError, match=r"v.y = '2 \*': .*components.v"):
         cosim.replay_sweep(failing, vary={"v.y": ["2 *"]})
-
-
-def test_a_varied_key_cannot_be_set_too(log):
-    """In whichever spelling."""
-    message = r"set\['identifier.P0'\] or vary\['identifier.P0'\], got both"
-    vary = {"components.identifier.P0": [1.0]}
-    with pytest.raises(UsageError, match=message):
-        cosim.replay_sweep(log, vary=vary, set={"identifier.P0": 2.0})
 
 
 def test_a_replay_that_fails_is_a_row(failing, call):
@@ -482,13 +434,22 @@ def test_a_replay_that_fails_is_a_row(failing, call):
     assert "row 2: failed: 'w.y' became inf at t = 0.1 s" in err
 
 
-def test_logs_are_written_to_a_folder_that_is_named(failing, tmp_path):
-    """In the order of the rows; those that are there are not replaced."""
+def test_logs_of_replays_are_written_to_a_folder_that_is_named(failing, tmp_path):
+    """In the order of the rows; those that are there are not replaced. Progress is that of all.
+
+    Without a truth the results are the last values of all outputs.
+    """
     vary = {"u.amplitude": [1.0, 3.0]}
     folder = tmp_path / "new" / "logs"
-    sweep = cosim.replay_sweep(failing, vary=vary, out=folder)
+    seen = []
+    sweep = cosim.replay_sweep(failing, vary=vary, out=folder, progress=lambda *at: seen.append(at))
+    assert sweep.columns == ("u.y", "v.y", "w.y")
+    first, second = sweep["u.y"]
+    assert second == pytest.approx(3.0 * first)
     assert [row.path for row in sweep.rows] == [folder / "1.mcap", folder / "2.mcap"]
-    assert cosim.open_log(folder / "2.mcap")["u.y"][-1] == sweep["u.y"][1]
+    assert cosim.open_log(folder / "2.mcap")["u.y"][-1] == second
+    assert seen == sorted(seen)
+    assert seen[-1] == (0.4, 0.4)
     assert cosim.replay_sweep(failing, vary=vary, out=folder, force=True).passed
     for options, message in (
         ({"out": folder}, "exists"),
@@ -499,45 +460,27 @@ def test_logs_are_written_to_a_folder_that_is_named(failing, tmp_path):
             cosim.replay_sweep(failing, vary=vary, **options)
 
 
-def test_progress_is_that_of_all_replays(failing):
-    """From the first to the last, as one."""
-    seen = []
-    cosim.replay_sweep(
-        failing, vary={"u.amplitude": [1.0, 3.0]}, progress=lambda *at: seen.append(at)
-    )
-    times = [time for time, _ in seen]
-    assert times == sorted(times)
-    assert seen[-1] == (0.4, 0.4)
-
-
 @pytest.mark.slow
-def test_the_command_line_shows_a_table(log, call):
+def test_the_command_line_shows_a_table_of_replays(log, call):
     """Rows are the varied values, columns what the results say; --json has all of each."""
     command = ("replay", log.path, "--vary", "identifier.P0=1e3,1e9")
     code, out, err = call(*command, "--set", "observer.filter_rate=500")
     assert (code, err) == (0, "")
-    title, header, *rows = out.splitlines()
-    assert title == str(log.path)
-    names, first, second = (line.split("\t") for line in (header, *rows))
-    assert names[:3] == ["identifier.P0", "identifier.theta[0]", "identifier.theta[1]"]
-    assert "identifier.theta[0] error" not in names
+    title, *rows = out.splitlines()
+    names, first, second = (line.split("\t") for line in rows)
+    assert (title, names[:3]) == (str(log.path), ["identifier.P0", *THETA])
+    assert f"{THETA[0]} error" not in names
     assert ", error " in first[1]
     assert [first[0], second[0]] == ["1000.0", "1000000000.0"]
-    assert len(first) == len(second) == len(names)
-    code, out, _ = call(*command, "--json")
-    found = json.loads(out)
+    found = json.loads(call(*command, "--json")[1])
     assert found["varied"] == ["identifier.P0"]
     assert [row["values"]["identifier.P0"] for row in found["rows"]] == [1e3, 1e9]
     assert found["rows"][0]["summary"]["scenario"] == "academic-as-printed"
     assert found["columns"] == list(found["rows"][0]["results"])
     assert call(*command, "--quiet") == (0, "", "")
-    for option, value in (("--verify", ()), ("--plot", ("x.png",))):
-        code, _, err = call(*command, option, *value)
-        assert code == 2
-        assert {option, "--vary"} <= set(err.split())
 
 
-def test_a_recording_of_another_tool_is_replayed_with_varied_values(failing, tmp_path, call):
+def test_a_recording_of_another_tool_is_replayed_with_varied_values(failing, tmp_path):
     """With the scenario and the map that a replay of it needs."""
     path = field_log(tmp_path)
     scenario = tmp_path / "loop.toml"
@@ -555,19 +498,13 @@ def test_a_recording_of_another_tool_is_replayed_with_varied_values(failing, tmp
         cosim.replay_sweep(path, vary=vary, map=BOTH)
     with pytest.raises(UsageError, match="omit scenario"):
         cosim.replay_sweep(failing, vary=vary, scenario=scenario)
-    maps = [f"--map={port}={name}" for port, name in BOTH.items()]
-    command = ("replay", path, "--scenario", scenario, *maps)
-    code, out, _ = call(*command, "--vary", "model.time_constant=0.1,0.4")
-    assert code == 0
-    assert len(out.splitlines()) == 4
 
 
-@pytest.mark.slow
-def test_plants_of_models_are_varied_in_a_rerun(log):
-    """Nothing of them is taken from the log then."""
-    vary = {"u.amplitude": [1.0, 2.0]}
-    with pytest.raises(UsageError, match="rerun=True"):
-        cosim.replay_sweep(log, vary=vary)
-    sweep = cosim.replay_sweep(log, vary=vary, rerun=True)
-    run = cosim.run("academic-as-printed", set={**END, "u.amplitude": 2.0})
-    assert sweep.rows[1].results["identifier.theta[0]"] == run["identifier.theta"][-1, 0]
+def test_a_sweep_ends_where_stop_says(failing):
+    """Like each of its replays; and the same time is not given twice."""
+    sweep = cosim.replay_sweep(failing, vary={"u.amplitude": [1.0]}, stop=0.1)
+    assert sweep.rows[0].summary.end == 0.1
+    with pytest.raises(UsageError, match=r"stop and set\['scenario\.stop'\]"):
+        cosim.replay_sweep(
+            failing, vary={"u.amplitude": [1.0]}, stop=0.1, set={"scenario.stop": 0.2}
+        )

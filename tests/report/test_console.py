@@ -15,56 +15,55 @@ ROWS = [
 ]
 
 
-def printed(capsys, monkeypatch, width):
-    monkeypatch.setattr(console, "terminal_width", lambda: width)
-    console.print_section("errors", ROWS)
-    return capsys.readouterr().out
+@pytest.fixture
+def printed(capsys, monkeypatch):
+    """Return a function that prints a section as wide as a terminal; None: a pipe."""
+
+    def printed(width, title, content):
+        monkeypatch.setattr(console, "terminal_width", lambda: width)
+        console.print_section(title, content)
+        return capsys.readouterr().out
+
+    return printed
 
 
-def test_rows_in_a_pipe_are_lines_with_tabs(capsys, monkeypatch):
+def test_rows_in_a_pipe_are_lines_with_tabs(printed):
     """Neither padded nor wrapped, whatever their length."""
-    lines = printed(capsys, monkeypatch, None).splitlines()
-    assert lines[0] == "errors"
-    assert lines[1] == "signal\tunit\terror\tmeaning"
-    assert lines[2:] == ["\t".join(row.values()) for row in ROWS]
+    title, header, *rows = printed(None, "errors", ROWS).splitlines()
+    assert (title, header) == ("errors", "signal\tunit\terror\tmeaning")
+    assert rows == ["\t".join(row.values()) for row in ROWS]
 
 
-@pytest.mark.parametrize("width", [200, 80, 60, 48, 43, 42, 20])
-def test_a_table_splits_no_word_and_no_number(capsys, monkeypatch, width):
+@pytest.mark.parametrize("width", [200, 80, 48, 43, 42, 20])
+def test_a_table_splits_no_word_and_no_number(printed, width):
     """It fits the terminal; where its words do not fit side by side they stand below each other."""
-    text = printed(capsys, monkeypatch, width)
+    text = printed(width, "errors", ROWS)
     words = {word for row in ROWS for cell in row.values() for word in cell.split()}
     assert words <= set(text.split())
     assert ("signal  " in text) == (width >= 43)
-    widest = max(len(line.rstrip()) for line in text.splitlines())
-    assert widest <= width
+    assert max(len(line.rstrip()) for line in text.splitlines()) <= width
 
 
-def test_a_long_path_breaks_and_leaves_the_table_as_it_is(capsys, monkeypatch):
+def test_a_long_path_breaks_and_leaves_the_table_as_it_is(printed):
     """Only a word in the last column may, if it is longer than any number."""
-    monkeypatch.setattr(console, "terminal_width", lambda: 60)
     path = "/".join(["folder"] * 20)
-    console.print_section("", {"steps": 40000, "log": path})
-    lines = capsys.readouterr().out.split("\n")
-    assert lines[0].rstrip() == "steps  40000"
-    assert "".join(line.removeprefix("log").strip() for line in lines[1:]) == path
+    first, *lines = printed(60, "", {"steps": 40000, "log": path}).split("\n")
+    assert first.rstrip() == "steps  40000"
+    assert "".join(line.removeprefix("log").strip() for line in lines) == path
 
 
 ATTACK = "\x1b]0;title\x07\x1b[2J\u202eabc\x9b31m\x00\r\udcff\u2028"
 
 
-def test_a_terminal_obeys_no_foreign_text(capsys, monkeypatch):
+@pytest.mark.parametrize("width", [None, 100])
+def test_a_terminal_obeys_no_foreign_text(printed, capsys, width):
     """Names, values and titles out of logs and FMUs are shown, not carried out."""
-    for width in (None, 100):
-        monkeypatch.setattr(console, "terminal_width", lambda width=width: width)
-        console.print_section(ATTACK, {ATTACK: ATTACK})
-        console.print_section("rows", [{ATTACK: ATTACK}])
-        console.print_line(ATTACK)
-        console.print_line(ATTACK, error=True)
-        output = capsys.readouterr()
-        for text in (output.out, output.err):
-            assert r"\x1b]0;title\x07\x1b[2J\u202eabc\x9b31m\x00\r\udcff\u2028" in text
-            assert not re.search(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u202e\ud800-\udfff]", text)
+    texts = [printed(width, ATTACK, {ATTACK: ATTACK}), printed(width, "rows", [{ATTACK: ATTACK}])]
+    console.print_line(ATTACK)
+    console.print_line(ATTACK, error=True)
+    for text in (*texts, *capsys.readouterr()):
+        assert r"\x1b]0;title\x07\x1b[2J\u202eabc\x9b31m\x00\r\udcff\u2028" in text
+        assert not re.search(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u202e\ud800-\udfff]", text)
 
 
 @given(st.text(st.characters()))
@@ -75,5 +74,4 @@ def test_printable_keeps_what_is_harmless(text):
     if text.isprintable():
         assert shown == text
     shown.encode("utf-8")
-    assert "\n" not in printable_line(text)
-    assert "\t" not in printable_line(text)
+    assert not {"\n", "\t"} & set(printable_line(text))

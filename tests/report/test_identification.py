@@ -23,7 +23,7 @@ FAST = {"scenario.step": 0.02, "observer.filter_rate": 50.0}
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory):
-    """Return the logs of runs of one plant, the last with another theta."""
+    """Return the paths of logs of one plant, the last with another theta."""
     folder = tmp_path_factory.mktemp("logs")
     terms = [
         {"alpha": "1.35 + 0.25*sin(1.7*t)", "family": "exponential", "theta": -0.1},
@@ -34,10 +34,23 @@ def logs(tmp_path_factory):
         "second": {"sensor.seed": 2, "plant.x_a0": [0.0, 2.0]},
         "other": {"sensor.seed": 3, "delta.terms": terms},
     }
-    return {
-        name: cosim.run("academic-noisy", out=folder / f"{name}.mcap", set={**FAST, **change})
-        for name, change in changes.items()
-    }
+    paths = {}
+    for name, change in changes.items():
+        paths[name] = folder / f"{name}.mcap"
+        cosim.run("academic-noisy", out=paths[name], set={**FAST, **change})
+    return paths
+
+
+@pytest.fixture
+def identify(logs, call):
+    """Identify from the first log and what follows; return the exit code, and the JSON if asked."""
+
+    def identify(*arguments):
+        code, output, errors = call("identify", logs["first"], *arguments)
+        assert not errors
+        return code, json.loads(output) if "--json" in arguments else output
+
+    return identify
 
 
 def rows(output):
@@ -46,14 +59,21 @@ def rows(output):
     return {line[0]: line[1:] for line in lines if len(line) > 1}
 
 
-@pytest.mark.slow
-def test_the_table_shows_what_was_recorded(logs, call):
+def identified(path, **options):
+    """Return what is identified from one log."""
+    return identify_records([identifier_record(cosim.open_log(path))], **options)
+
+
+# --- tables ---
+
+
+def test_the_table_shows_what_was_recorded(logs, identify):
     """Estimate, standard error, interval, verdict, correlation, noise and tests."""
-    code, output, _ = call("identify", logs["first"].path)
-    assert code == 0
-    recorded = logs["first"].results[IDENTIFICATION]["identifier"]
+    _, output = identify()
     shown = rows(output)
-    undetected = summarize(logs["first"]).identifications[0].undetected
+    log = cosim.open_log(logs["first"])
+    recorded = log.results[IDENTIFICATION]["identifier"]
+    undetected = summarize(log).identifications[0].undetected
     assert list(undetected) == [error["text"] for error in recorded["undetected"]]
     assert shown[IF_WRONG] == [undetected[-1]]
     for found in (*recorded["parameters"], *recorded["amplitudes"][0]):
@@ -69,7 +89,7 @@ def test_the_table_shows_what_was_recorded(logs, call):
     assert float(correlation) == pytest.approx(recorded["correlation"][0][1], abs=1e-3)
     assert float(shown["noise of y"][0].split(",")[0]) == pytest.approx(1e-3, rel=0.1)
     assert shown["whiteness"][1:] == ["55.1", "passed"]
-    assert shown[str(logs["first"].path)][0].startswith("2001 samples; x(0) ")
+    assert shown[str(logs["first"])][0].startswith("2001 samples; x(0) ")
     for amplitude in recorded["amplitudes"][0]:  # 1 in the scenario
         assert amplitude["value"] == pytest.approx(1.0, abs=4.0 * amplitude["standard_error"])
     assert shown["terms of delta"] == ["amplitude[0] exp(theta[0] t); amplitude[1] exp(theta[1] t)"]
@@ -82,19 +102,16 @@ def test_amplitude_rate_and_phase_of_a_sine_are_those_of_the_scenario(call):
     An exponential that is not there has no number, beside a sine that has all three.
     """
     alpha = "1.35 + 0.25*sin(1.7*t)"
-    term = {"alpha": alpha, "family": "sine", "theta": 1.1, "amplitude": 0.7, "phase": 0.4}
-    known = [{"alpha": alpha, "family": "sine"}, {"alpha": "1.0", "family": "exponential"}]
+    sine = {"alpha": alpha, "family": "sine"}
     changes = {
         **FAST,
         "scenario.start_time": 2.0,
-        "delta.terms": [term],
-        "regressor.terms": known,
+        "delta.terms": [{**sine, "theta": 1.1, "amplitude": 0.7, "phase": 0.4}],
+        "regressor.terms": [sine, {"alpha": "1.0", "family": "exponential"}],
         "regressor.delays": [0.4, 0.8, 1.2, 1.6],
     }
-    options = []
-    for key, value in changes.items():
-        toml = json.dumps(value).replace(": ", " = ")
-        options += ["--set", f"{key}={toml}"]
+    edits = [f"{key}={json.dumps(value)}".replace(": ", " = ") for key, value in changes.items()]
+    options = [f"--set={edit}" for edit in edits]
     shown = rows(call("run", "academic-noisy", "--out", "log.mcap", *options)[1])
     for name, true in (("amplitude[0]", 0.7), ("phase[0]", 0.4)):
         value = float(shown[name][0])
@@ -111,50 +128,57 @@ def test_amplitude_rate_and_phase_of_a_sine_are_those_of_the_scenario(call):
     assert found["amplitude[1]"] == (None, None)
 
 
-@pytest.mark.slow
-def test_several_logs_and_one_to_validate(logs, call):
+def test_several_logs_and_one_to_validate(logs, identify):
     """Each log has its own amplitudes, x(0) and tests; the JSON has the numbers of the table."""
-    first, second = logs["first"].path, logs["second"].path
-    code, output, _ = call("identify", first, "--validate", second, "--json")
-    assert code == 0
-    content = json.loads(output)
-    assert content["contradictions"] == []
+    code, content = identify("--validate", logs["second"], "--json")
+    assert (code, content["contradictions"]) == (0, [])
     (validation,) = content["validation"]
     assert validation["verdict"] == "HOLDS"
     assert validation["ratio"] == pytest.approx(1.0, abs=0.1)
     assert [test["passed"] for test in validation["tests"]] == [True] * 4
-    both = json.loads(call("identify", first, second, "--json")[1])
+    _, both = identify(logs["second"], "--json")
     errors = [found["parameters"][0]["standard_error"] for found in (both, content)]
     assert errors[0] < 0.8 * errors[1]
-    assert [log["log"] for log in both["logs"]] == [str(first), str(second)]
+    assert [log["log"] for log in both["logs"]] == [str(logs[name]) for name in ("first", "second")]
     np.testing.assert_allclose(both["logs"][1]["x0"], [0.0, 2.0], atol=5e-3)
     assert len(both["tests"]) == 6
 
 
-def test_a_theta_that_does_not_hold_is_said_and_exits_with_1(logs, call):
+def test_a_theta_that_does_not_hold_is_said_and_exits_with_1(logs, identify):
     """With the theta of the other data, and how much larger the residual is."""
-    code, output, _ = call("identify", logs["first"].path, "--validate", logs["other"].path)
-    assert code == 1
+    code, output = identify("--validate", logs["other"])
     shown = rows(output)
+    assert code == 1
     assert {"theta[0]", "theta[1]", "amplitude[0]", "amplitude[1]"} <= shown.keys()
-    assert f"validation {logs['other'].path}" in output.splitlines()
+    assert f"validation {logs['other']}" in output.splitlines()
     text = shown["FAILS"][0]
     assert text.startswith("theta[0] is ")
     there, fitted = re.search(r"theta\[1\] is (\S+) \+- \S+ there, (\S+) \+- ", text).groups()
     assert (float(there), float(fitted)) == pytest.approx((-0.4, -0.3), abs=2e-3)
-    ratio = float(re.search(r", ([\d.]+) times", shown["residual"][0])[1])
-    assert ratio > 1.2
+    assert float(re.search(r", ([\d.]+) times", shown["residual"][0])[1]) > 1.2
 
 
-def test_options_reach_the_fit(logs, call):
+@pytest.mark.slow
+def test_logs_of_different_theta_are_told_apart(logs, identify):
+    """Together they leave a residual that is not noise's; each is explained alone, with its log."""
+    _, output = identify(logs["other"])
+    shown = rows(output)
+    assert shown["theta[1]"][3] == "INCONSISTENT"
+    assert "noise does not explain the residual" in shown["INCONSISTENT"][0]
+    text = shown["contradiction"][0]
+    for part in (f"{logs['first']} alone", f"{logs['other']} alone", "theta[1]", "not of one"):
+        assert part in text
+    assert text in identify(logs["other"], "--json")[1]["contradictions"]
+
+
+def test_options_reach_the_fit(identify):
     """An offset is another unknown; equal bounds fix a theta, which then has no error."""
-    log = logs["first"].path
-    plain = json.loads(call("identify", log, "--json")[1])
-    offset = json.loads(call("identify", log, "--offset", "--json")[1])
+    bounds = ("--bounds", "[[-inf,inf],[-0.3,-0.3]]")
+    plain, offset, fixed = (
+        identify("--json", *options)[1] for options in ((), ("--offset",), bounds)
+    )
     assert offset["degrees_of_freedom"] == plain["degrees_of_freedom"] - 1
     assert len(offset["logs"][0]["offset"]) == 1
-    bounds = "[[-inf,inf],[-0.3,-0.3]]"
-    fixed = json.loads(call("identify", log, "--bounds", bounds, "--json")[1])
     assert fixed["parameters"][1]["value"] == -0.3
     assert fixed["parameters"][1]["standard_error"] is None
     assert fixed["parameters"][0]["standard_error"] < plain["parameters"][0]["standard_error"]
@@ -163,8 +187,7 @@ def test_options_reach_the_fit(logs, call):
 @pytest.mark.slow
 def test_an_irregular_part_has_guaranteed_intervals(logs):
     """They contain the truth; the cost is said, and where the first order does not hold."""
-    found = identify_records([identifier_record(logs["first"])])
-    report = report_identification(found, irregular=2e-3)
+    report = report_identification(identified(logs["first"]), irregular=2e-3)
     part = report.irregular
     for effect, true in zip(part.effects, (-0.1, -0.3), strict=True):
         assert effect.lower <= true <= effect.upper
@@ -174,39 +197,16 @@ def test_an_irregular_part_has_guaranteed_intervals(logs):
     assert part.confidence == 0.999
 
 
-@pytest.mark.campaign
-def test_a_large_irregular_part_is_beyond_the_first_order(logs, call):
-    """It says so, and the linear programs give the interval."""
-    _, output, errors = call("identify", logs["first"].path, "--irregular", "0.02")
-    assert "linear programs, which take seconds to minutes" in errors
-    lines = output.splitlines()
-    found = lines[
-        next(i for i, line in enumerate(lines) if line.startswith("|delta_0| <= 0.02")) + 2
-    ]
-    label, low, high, reach = re.fullmatch(r"(\S+)\t(\S+) to ([^;]+); (.*)", found).groups()
-    assert label == "theta[1]"
-    assert float(low) < -0.3 < float(high)
-    assert "which does not hold for so large a bound" in reach
-
-
-@pytest.mark.slow
-def test_logs_of_different_theta_are_told_apart(logs, call):
-    """Together they leave a residual that is not noise's; each is explained alone.
-
-    Of each the estimate is said, with its log, in table and JSON.
-    """
-    paths = [logs["first"].path, logs["other"].path]
-    _, output, _ = call("identify", *paths)
-    shown = rows(output)
-    assert shown["theta[1]"][3] == "INCONSISTENT"
-    assert "noise does not explain the residual" in shown["INCONSISTENT"][0]
-    text = shown["contradiction"][0]
-    for path in paths:
-        assert f"{path} alone" in text
-    assert "theta[1]" in text
-    assert "not of one theta" in text
-    content = json.loads(call("identify", "--json", *paths)[1])
-    assert text in content["contradictions"]
+def test_an_exact_residual_is_within_the_errors_that_are_named(tmp_path, call):
+    """It is at most as many times larger than its errors as the text says, with both numbers."""
+    log = cosim.run("academic-noisy", out=tmp_path / "a.mcap", set={**FAST, "sensor.noise": 0.0})
+    recorded = log.results[IDENTIFICATION]["identifier"]
+    assert recorded["is_exact"]
+    (text,) = rows(call("identify", log.path)[1])["noise of y"]
+    numbers = re.search(r"(\S+): .* at most ([\d.]+) times what .* allow, (\S+)", text).groups()
+    deviation, factor, allowed = map(float, numbers)
+    assert deviation <= factor * allowed
+    assert allowed == pytest.approx(recorded["accuracy"][0], rel=0.01)
 
 
 @pytest.mark.parametrize(
@@ -223,36 +223,37 @@ def test_logs_of_different_theta_are_told_apart(logs, call):
         (("--component", "observer"), "no identifier 'observer' with a model of y"),
         (("--irregular", "1", "--bounds", "[[-1,0],[-0.3,-0.3]]"), r"theta\[1\] was not estimated"),
         (("--plot", "a.txt"), r"a\.txt: .*'\.txt'"),
+        # no data count twice, and a copy of a log has the same rows
+        (("copy.mcap",), "copy.mcap has the rows of"),
+        (("--validate", "copy.mcap"), "copy.mcap has the rows of"),
     ],
 )
-def test_wrong_use_is_refused(logs, call, options, text):
+def test_wrong_use_is_refused(logs, call, tmp_path, options, text):
     """Before anything is printed."""
-    code, output, errors = call("identify", logs["first"].path, *options)
+    (tmp_path / "copy.mcap").write_bytes(logs["first"].read_bytes())
+    code, output, errors = call("identify", logs["first"], *options)
     assert (code, output) == (2, "")
     assert re.search(text, errors)
 
 
-@pytest.mark.parametrize("option", [(), ("--validate",)])
-def test_no_data_count_twice(logs, call, option, tmp_path):
-    """Neither in the fit nor in its validation: a copy of a log has the same rows."""
-    copy = tmp_path / "copy.mcap"
-    copy.write_bytes(logs["first"].path.read_bytes())
-    code, _, errors = call("identify", logs["first"].path, *option, copy)
-    assert code == 2
-    assert "copy.mcap has the rows of" in errors
+# --- pictures ---
+
+
+def texts(path):
+    """Return the texts of an SVG."""
+    return re.findall(r"<text[^>]*>([^<]*)</text>", path.read_text("utf-8"))
 
 
 @pytest.mark.slow
-def test_the_picture_shows_residual_spectrum_disturbance_and_theta(logs, call, tmp_path):
+def test_the_picture_shows_residual_spectrum_disturbance_and_theta(logs, identify, tmp_path):
     """With axes, units of time and frequency; of several logs each has its panels."""
     pytest.importorskip("matplotlib")
-    call("identify", logs["first"].path, logs["second"].path, "--plot", tmp_path / "a.svg")
-    texts = re.findall(r"<text[^>]*>([^<]*)</text>", (tmp_path / "a.svg").read_text("utf-8"))
-    assert texts.count("residual of y") == 2
-    assert texts.count("frequency [Hz]") == 2
-    assert texts.count("error of delta") == 2
-    assert texts.count("error of identifier.theta[1]") == 2
-    assert f"{logs['second'].path}: residual" in texts
+    identify(logs["second"], "--plot", tmp_path / "a.svg")
+    shown = texts(tmp_path / "a.svg")
+    for text in ("residual of y", "frequency [Hz]", "error of delta"):
+        assert shown.count(text) == 2
+    assert shown.count("error of identifier.theta[1]") == 2
+    assert f"{logs['second']}: residual" in shown
 
 
 @pytest.mark.slow
@@ -274,25 +275,13 @@ def test_a_band_is_drawn_where_it_holds(logs, tmp_path, monkeypatch, bounds, ver
         bands[curve.name] = curve.band is not None
 
     monkeypatch.setattr(Curve, "draw", keep)
-    found = identify_records([identifier_record(logs["first"])], bounds=bounds)
+    found = identified(logs["first"], bounds=bounds)
     assert {one.verdict for one in found.assessment.parameters} == {verdict}
     identification.plot_identification(found, tmp_path / "a.svg")
-    texts = re.findall(r"<text[^>]*>([^<]*)</text>", (tmp_path / "a.svg").read_text("utf-8"))
+    shown = texts(tmp_path / "a.svg")
     assert (bands["delta"], bands["error of delta"]) == (band, band)
-    assert title.format(verdict) in texts
-    assert texts.count(f"no 95 % band: theta[0] is {verdict}") == (not band)
-
-
-def test_an_exact_residual_is_within_the_errors_that_are_named(tmp_path, call):
-    """It is at most as many times larger than its errors as the text says, with both numbers."""
-    log = cosim.run("academic-noisy", out=tmp_path / "a.mcap", set={**FAST, "sensor.noise": 0.0})
-    recorded = log.results[IDENTIFICATION]["identifier"]
-    assert recorded["is_exact"]
-    (text,) = rows(call("identify", log.path)[1])["noise of y"]
-    numbers = re.search(r"(\S+): .* at most ([\d.]+) times what .* allow, (\S+)", text).groups()
-    deviation, factor, allowed = map(float, numbers)
-    assert deviation <= factor * allowed
-    assert allowed == pytest.approx(recorded["accuracy"][0], rel=0.01)
+    assert title.format(verdict) in shown
+    assert shown.count(f"no 95 % band: theta[0] is {verdict}") == (not band)
 
 
 @pytest.mark.slow
@@ -300,8 +289,7 @@ def test_titles_are_those_of_what_is_drawn(logs, tmp_path, monkeypatch):
     """Without a truth there is no gray line, and the half width takes the place of the error."""
     pytest.importorskip("matplotlib")
     monkeypatch.setattr("cosim.report.plots.runs.truth_of", lambda log: {})
-    found = identify_records([identifier_record(logs["first"])])
-    identification.plot_identification(found, tmp_path / "a.svg")
+    identification.plot_identification(identified(logs["first"]), tmp_path / "a.svg")
     text = (tmp_path / "a.svg").read_text("utf-8")
     assert "gray: truth" not in text
     assert "its error" not in text
@@ -310,10 +298,10 @@ def test_titles_are_those_of_what_is_drawn(logs, tmp_path, monkeypatch):
 
 def test_the_band_of_theta_is_that_of_its_standard_error(logs):
     """The standard picture draws it around theta; other estimates have none."""
-    curves = estimate_curves(logs["first"], "identifier.theta")
-    recorded = logs["first"]["identifier.standard_error"]
-    for curve, error in zip(curves, recorded.T, strict=True):
+    log = cosim.open_log(logs["first"])
+    curves = estimate_curves(log, "identifier.theta")
+    for curve, error in zip(curves, log["identifier.standard_error"].T, strict=True):
         expected = NormalDist().inv_cdf(0.975) * error
         np.testing.assert_allclose(curve.band, expected, rtol=1e-12)
-    (delta,) = estimate_curves(logs["first"], "observer.delta")
+    (delta,) = estimate_curves(log, "observer.delta")
     assert delta.band is None

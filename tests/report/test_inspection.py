@@ -2,7 +2,6 @@
 
 import platform
 from datetime import UTC, datetime, timedelta
-from time import process_time
 
 import pytest
 from mcap.writer import Writer
@@ -19,11 +18,7 @@ from tests.log.recordings import STEP_NS, record
 from tests.scenario.user_modules import RELAY
 
 SCENARIO = """
-[scenario]
-name = "x"
-stop = 0.2
-step = 0.1
-
+scenario = { name = "x", stop = 0.2, step = 0.1 }
 [components]
 length = { kind = "constant", value = 1.0, unit = "m" }
 width = { kind = "constant", value = 2.0, unit = "m" }
@@ -34,16 +29,24 @@ area = { kind = "sum", signs = [1.0], size = 2, unit = "mm" }
 """
 
 
+def described(folder, text):
+    """Return what a scenario has."""
+    path = folder / "x.toml"
+    path.write_text(text, encoding="utf-8")
+    return describe_scenario(str(path))
+
+
 def test_a_connection_shows_all_its_sources_and_one_conversion(tmp_path):
     """Two sources in m stacked to an input in mm: the map and the conversion stand once."""
-    path = tmp_path / "x.toml"
-    path.write_text(SCENARIO)
-    (row,) = describe_scenario(str(path))["connections"]
-    assert row["to"] == "area.u1"
-    assert row["from"] == "length.y, width.y"
-    assert row["map"] == "v - 0.5"
-    assert row["unit"] == "m -> mm"
-    assert row["conversion"] == "((v * 1.0 + 0.0) - 0.0) / 0.001"
+    (row,) = described(tmp_path, SCENARIO)["connections"]
+    expected = {
+        "to": "area.u1",
+        "from": "length.y, width.y",
+        "map": "v - 0.5",
+        "unit": "m -> mm",
+        "conversion": "((v * 1.0 + 0.0) - 0.0) / 0.001",
+    }
+    assert expected.items() <= row.items()
 
 
 def test_signals_are_shown_with_what_they_are():
@@ -58,12 +61,9 @@ def test_signals_are_shown_with_what_they_are():
 def test_an_fmu_that_saves_its_state_is_shown(tmp_path, interface_type):
     """The description is enough, whatever the FMU could do if it ran."""
     export_component("closed-loop", "plant", tmp_path / "plant.fmu")
-    table = f'{{ kind = "fmu", path = "plant.fmu", interface_type = "{interface_type}" }}'
-    path = tmp_path / "x.toml"
-    path.write_text(
-        f'scenario = {{ name = "x", stop = 0.2, step = 0.1 }}\ncomponents.plant = {table}\n'
-    )
-    signals = [row["signal"] for row in describe_scenario(str(path))["signals"]]
+    fmu = f'{{ kind = "fmu", path = "plant.fmu", interface_type = "{interface_type}" }}'
+    found = described(tmp_path, f"{SCENARIO.partition('[')[0]}components.plant = {fmu}\n")
+    signals = [row["signal"] for row in found["signals"]]
     assert signals == ["plant.u", "plant.delta", "plant.y", "plant.x_a", "plant.x_b"]
 
 
@@ -83,13 +83,12 @@ def test_messages_are_shown_in_the_order_of_time_up_to_a_number(tmp_path, monkey
 
 def test_a_log_says_when_by_what_and_on_which_machine_it_was_written(tmp_path):
     """The clock of the machine, to a second; the version; the system and the processor."""
-    path = tmp_path / "x.mcap"
     before = datetime.now(UTC) - timedelta(seconds=1)
-    record(path)
-    shown = describe_log(str(path))["run"]
+    record(tmp_path / "x.mcap")
+    shown = describe_log(str(tmp_path / "x.mcap"))["run"]
     assert before <= datetime.fromisoformat(shown["written"]) <= datetime.now(UTC)
-    assert f"cosim {cosim.__version__}" in shown["written by"]
-    assert platform.python_version() in shown["written by"]
+    for text in (f"cosim {cosim.__version__}", platform.python_version()):
+        assert text in shown["written by"]
     assert platform.platform() in shown["machine"]
     assert platform.node() not in shown["machine"]  # the name of the machine is its owner's
 
@@ -102,23 +101,19 @@ def test_a_log_has_no_path_of_its_sender(tmp_path, monkeypatch):
     (scenarios / "relay.py").write_text(RELAY)
     (scenarios / "few.csv").write_text("t,y\n0,1\n0.2,2\n")  # a warning names it
     export_component("closed-loop", "plant", folder / "plant.fmu")
-    text = SCENARIO.replace(
-        "#\n[connections]",
-        """
-few = { kind = "field-data", path = "few.csv" }
-relay = { kind = "python", class = "relay:Relay", width = 0.1 }
-plant = { kind = "constant", value = 1.0 }
-[connections]
-"relay.u" = "length.y"
-""",
-    )
-    (scenarios / "x.toml").write_text(text)
+    components = """
+    few = { kind = "field-data", path = "few.csv" }
+    relay = { kind = "python", class = "relay:Relay", width = 0.1 }
+    plant = { kind = "constant", value = 1.0 }
+    [connections]
+    "relay.u" = "length.y"
+    """
+    (scenarios / "x.toml").write_text(SCENARIO.replace("#\n[connections]", components))
     monkeypatch.chdir(folder)
     swaps = {"plant": folder / "plant.fmu", "width": scenarios / "few.csv"}
+    run_given = {"swap": swaps, "map": {"width.y": "y"}, "out": folder / "x.mcap"}
     with pytest.warns(cosim.CosimWarning):
-        run = cosim.run(
-            scenarios / "x.toml", swap=swaps, map={"width.y": "y"}, out=folder / "x.mcap"
-        )
+        run = cosim.run(scenarios / "x.toml", **run_given)
     with pytest.warns(cosim.CosimWarning):
         again = cosim.replay(folder / "x.mcap", out=folder / "y.mcap")
     for log in (run, again):
@@ -130,45 +125,20 @@ plant = { kind = "constant", value = 1.0 }
     assert describe_log(str(run.path))["metadata"]["plant"]["path"] == "plant.fmu"
 
 
-def describing_cost(folder, size):
-    """Return the processor time for each component to describe a chain of gains."""
-    gains = [f'g{i} = {{ kind = "gain", K = 2.0 }}' for i in range(1, size)]
-    connections = [f'"g{i}.u" = "g{i - 1}.y"' for i in range(1, size)]
-    head = 'scenario = { name = "gains", stop = 0.01, step = 1e-3 }'
-    first = 'g0 = { kind = "constant", value = 1.0 }'
-    lines = [head, "[components]", first, *gains, "[connections]", *connections]
-    path = folder / f"{size}.toml"
-    path.write_text("\n".join(lines), encoding="utf-8")
-    began = process_time()
-    assert len(describe_scenario(str(path))["connections"]) == size - 1
-    return (process_time() - began) / size
-
-
-@pytest.mark.usefixtures("frozen_heap")
-def test_the_cost_to_describe_a_component_does_not_grow(tmp_path):
-    """The table of the ports is made once, not for every connection."""
-    ratio = float("inf")
-    for _ in range(5):  # the smallest counts: another process can only add time
-        base = min(describing_cost(tmp_path, 100) for _ in range(2))
-        ratio = min(ratio, describing_cost(tmp_path, 600) / base)
-        if ratio <= 1.5:
-            return
-    raise AssertionError(f"a component costs {ratio} times as much to describe")
-
-
 # --- recordings of other tools ---
 
 
-def fields_of(content):
-    return {row["field"]: row["type"] for row in content["fields"]}
+def fields_of(path):
+    """Return the types of the fields of a recording."""
+    return {row["field"]: row["type"] for row in describe_recording(str(path))["fields"]}
 
 
 def test_topics_are_shown_with_their_messages_in_time(tmp_path):
     """Counts, rate at the median distance, order, the largest gap and where it is."""
     times = [0, 10, 20, 20, 30, 70, 60, 80]
     rows = [(EPOCH + 10**6 * time, {"x": 1, "name": "n"}) for time in times]
-    options = {"schema": {"type": "object"}}
-    path = write_json(tmp_path / "log.mcap", {"/b": rows, "/a": [(EPOCH - 5, {})]}, **options)
+    topics = {"/b": rows, "/a": [(EPOCH - 5, {})]}
+    path = write_json(tmp_path / "log.mcap", topics, schema={"type": "object"})
     content = describe_recording(str(path))
     assert content["recording"] == {
         "topics": 2,
@@ -189,25 +159,27 @@ def test_topics_are_shown_with_their_messages_in_time(tmp_path):
         "largest gap": "0.03 s",
         "at": "1700000000.03 s",
     }
-    assert fields_of(content) == {"/b.x": "number"}
+    assert fields_of(path) == {"/b.x": "number"}
 
 
-def test_fields_are_those_of_the_schemas(tmp_path):
-    """Of protobuf and ROS without a message, those of any length with brackets."""
+def test_fields_of_protobuf_are_those_of_its_schema(tmp_path):
+    """Without a message; those of any length with brackets."""
     path = tmp_path / "state.mcap"
     with path.open("wb") as stream, ProtobufWriter(stream) as writer:
         writer.write_message("/state", state_class()(), EPOCH, EPOCH)
-    fields = fields_of(describe_recording(str(path)))
-    expected = {
+    fields = fields_of(path)
+    assert {
         "/state.position": "double",
         "/state.effort[]": "double",
         "/state.mode": "enum",
         "/state.inner.points[].y": "float",
         "/state.stamp": "time",
         "/state.stamp.seconds": "int64",
-    }
-    assert expected.items() <= fields.items()
+    }.items() <= fields.items()
     assert not {"/state.name", "/state.raw", "/state.inner"} & fields.keys()
+
+
+def test_fields_of_ros_are_those_of_its_schema(tmp_path):
     definition = (
         "builtin_interfaces/Time stamp\nfloat64[3] x\nint8[] n\nP[2] p\nstring s\nbool on\n"
         "===\nMSG: demo_msgs/P\nfloat32 y"
@@ -216,7 +188,7 @@ def test_fields_are_those_of_the_schemas(tmp_path):
     with path.open("wb") as stream, RosWriter(stream) as writer:
         schema = writer.register_msgdef("demo_msgs/msg/Demo", definition)
         writer.write_message("/demo", schema, {}, EPOCH)
-    assert fields_of(describe_recording(str(path))) == {
+    assert fields_of(path) == {
         "/demo.stamp": "time",
         "/demo.stamp.sec": "int32",
         "/demo.stamp.nanosec": "uint32",
@@ -231,7 +203,7 @@ def test_fields_of_json_are_those_of_its_first_message(tmp_path):
     """Lists of numbers as a whole, objects and lists of objects by their elements."""
     value = {"a": [1, 2.5], "b": [{"c": 1}, {"d": True}], "t": {"sec": 1, "nsec": 2}, "e": []}
     path = write_json(tmp_path / "log.mcap", {"/t": [(EPOCH, value), (EPOCH + 1, {"z": 1})]})
-    assert fields_of(describe_recording(str(path))) == {
+    assert fields_of(path) == {
         "/t.a[0:2]": "number",
         "/t.b[0].c": "number",
         "/t.b[1].d": "bool",
@@ -254,18 +226,16 @@ def test_unread_topics_are_listed_with_the_problem(tmp_path, monkeypatch):
             writer.add_message(channel, EPOCH, data, EPOCH)
         writer.finish()
     monkeypatch.setattr(inspection, "MOST_FIELDS", 2)
+    assert list(fields_of(path)) == ["/none.a", "/none.b"]
     content = describe_recording(str(path))
-    assert list(fields_of(content)) == ["/none.a", "/none.b"]
     assert content["more fields"] == {"not shown": 1}
     assert content["topics"][1]["messages"] == 0
     problems = {row["topic"]: row["problem"] for row in content["not read"]}
-    assert "'cbor'" in problems["/odd"]
-    assert "protobuf" in problems["/odd"]
+    assert {"'cbor'", "protobuf"} <= {word.strip(",;") for word in problems["/odd"].split()}
     assert problems["/bad"].startswith("the message is not JSON")
 
 
-def test_no_topics_are_shown_and_times_beyond_63_bits_refused(tmp_path):
-    """Nothing can be said of distances between them; of a file without topics there is nothing."""
+def test_a_file_without_topics_has_nothing_and_times_beyond_63_bits_are_refused(tmp_path):
     path = write_json(tmp_path / "none.mcap", {})
     nothing = {"recording": {"topics": 0, "messages": 0}, "topics": [], "fields": []}
     assert describe_recording(str(path)) == nothing

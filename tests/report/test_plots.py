@@ -2,6 +2,7 @@
 
 import re
 from contextlib import nullcontext
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 
@@ -31,10 +32,7 @@ from tests.log.recordings import STEP_NS, layout, record, table
 pytest.importorskip("matplotlib")
 
 SCENARIO = """
-[scenario]
-name = "lengths"
-stop = 1.0
-step = 0.01
+scenario = { name = "lengths", stop = 1.0, step = 0.01 }
 [components]
 a = { kind = "ramp", slope = 1.0, unit = "m" }
 b = { kind = "constant", value = 500.0, unit = "mm" }
@@ -85,9 +83,8 @@ def test_every_curve_has_its_name_and_unit(logs, out):
     assert {"c.y[0]", "c.y[1]", "c.y [V]", "a.y", "b.y", "[m]", "t [s]"} <= set(shown)
     assert {"d.y", "d.y[0] [mm]", "d.y[1] [m/s]"} <= set(shown)  # which have no common unit
     assert "[mm]" not in shown
+    assert shown.count("t [s]") == 1  # below the lowest panel
     assert size_of(out) == (22.0, 3.0 + 4 * 5.0)
-    plot_signals(logs[0], ["d.y[1]"], out)
-    assert "d.y[1] [m/s]" in texts(out)
 
 
 def test_units_of_one_kind_share_an_axis_and_others_do_not(logs, out):
@@ -117,9 +114,6 @@ def test_several_logs_share_a_panel(logs, out):
 
 def test_many_panels_stand_side_by_side(logs, out):
     """At most four in a column: a picture fits a screen; the lowest of each column has the time."""
-    plot_signals(logs[0], ["a.y"] * 4, out)
-    assert size_of(out) == (22.0, 3.0 + 4 * 5.0)
-    assert texts(out).count("t [s]") == 1
     plot_signals(logs[0], ["a.y"] * 5, out)
     assert size_of(out) == (32.0, 3.0 + 3 * 6.0)
     counts = [texts(out).count(text) for text in ("t [s]", "a.y [m]", "0.2")]
@@ -138,55 +132,50 @@ def test_a_window_a_size_and_a_title_are_as_asked_for(logs, out):
 
 
 @pytest.mark.parametrize(
-    ("options", "text"),
+    ("signals", "name", "options", "text"),
     [
-        ({"size": (0.0, 5.0)}, "0 x 5 cm"),
-        ({"size": (5.0, float("nan"))}, "5 x nan cm"),
-        ({"start": 2.0, "stop": 1.0}, "stop: .* start = 2 s, got 1 s"),
-        ({"stop": float("inf")}, "stop: .* inf s"),
-        ({"start": 2.0}, r"start, stop: .*0 s to 1 s"),
-        ({"stop": -1.0}, r"start, stop: .*0 s to 1 s"),
+        (["a.y"], "a.svg", {"size": (0.0, 5.0)}, "0 x 5 cm"),
+        (["a.y"], "a.svg", {"size": (5.0, float("nan"))}, "5 x nan cm"),
+        (["a.y"], "a.svg", {"start": 2.0, "stop": 1.0}, "stop: .* start = 2 s, got 1 s"),
+        (["a.y"], "a.svg", {"stop": float("inf")}, "stop: .* inf s"),
+        (["a.y"], "a.svg", {"start": 2.0}, r"start, stop: .*0 s to 1 s"),
+        (["a.y"], "a.svg", {"stop": -1.0}, r"start, stop: .*0 s to 1 s"),
+        (["a.y"], "first.mcap/a.png", {}, "cannot be written"),
+        (["a.y"], "a.doc", {}, r"'\.doc'"),
+        ([], "a.svg", {}, "signals"),
+        ([3], "a.svg", {}, "3"),
+        (["a"], "a.svg", {}, "'a'"),
+        ("a.y", "a.svg", {}, "got 'a'"),
     ],
 )
-def test_a_wrong_size_or_window_is_refused(logs, out, options, text):
-    """As is one without rows: an empty picture says nothing."""
+def test_a_picture_of_nothing_or_to_nowhere_is_refused(logs, signals, name, options, text):
+    """Signals, files, sizes and windows: an empty picture says nothing."""
     with pytest.raises(UsageError, match=text):
-        plot_signals(logs[0], ["a.y"], out, PictureOptions(**options))
+        plot_signals(logs[0], signals, logs[0].path.parent / name, PictureOptions(**options))
 
 
-def test_a_picture_of_any_values_is_drawn_or_refused(tmp_path, subtests):
+@pytest.mark.parametrize("values", [[np.nan, np.inf, -np.inf], [5e-324, -5e-324], [1e308, -1e308]])
+def test_a_picture_of_any_values_is_drawn_or_refused(tmp_path, out, values):
     """Where an axis cannot hold them, the signal is named."""
-    for values in ([np.nan, np.inf, -np.inf], [5e-324, -5e-324], [1e308, -1e308]):
-        rows = np.zeros((21, layout().width))
-        for number, value in enumerate(values):
-            rows[5 + 3 * number : 8 + 3 * number] = value
-        path = tmp_path / f"{values[0]}.mcap"
-        record(path, rows=rows)
-        picture = path.with_suffix(".png")
-        with subtests.test(case=values):
-            if values[0] == 1e308:
-                with pytest.raises(UsageError, match=r"plant\.u: .*1e\+308"):
-                    plot_signals(open_log(path), ["plant.u"], picture)
-            else:
-                plot_signals(open_log(path), ["plant.u"], picture)
-                assert picture.stat().st_size > 0
-
-
-def test_a_picture_of_no_signals_or_to_no_file_is_refused(logs, tmp_path, subtests):
-    for signals in ([], [3], ["a"], "a.y"):
-        with subtests.test(case=signals), pytest.raises(UsageError):
-            plot_signals(logs[0], signals, tmp_path / "a.png")
-    (tmp_path / "file").touch()
-    for name, problem in {"file/a.png": "cannot be written", "a.doc": r"'\.doc'"}.items():
-        with pytest.raises(UsageError, match=problem):
-            plot_signals(logs[0], ["a.y"], tmp_path / name)
+    rows = np.zeros((21, layout().width))
+    for number, value in enumerate(values):
+        rows[5 + 3 * number : 8 + 3 * number] = value
+    record(tmp_path / "a.mcap", rows=rows)
+    draw = partial(plot_signals, open_log(tmp_path / "a.mcap"), ["plant.u"], out)
+    if values[0] == 1e308:
+        with pytest.raises(UsageError, match=r"plant\.u: .*1e\+308"):
+            draw()
+        return
+    draw()
+    assert out.stat().st_size > 0
 
 
 @pytest.mark.parametrize(
     ("suffix", "begin"), [(".png", b"\x89PNG"), (".pdf", b"%PDF"), (".svg", b"<?xml")]
 )
 def test_every_format_is_written(logs, out, suffix, begin):
-    plot_signals(logs[0], ["a.y"], out.with_suffix(suffix))
+    size = PictureOptions(size=(5.0, 5.0))
+    plot_signals(logs[0], ["b.y"], out.with_suffix(suffix), size)
     assert out.with_suffix(suffix).read_bytes().startswith(begin)
 
 
@@ -210,7 +199,7 @@ def test_a_picture_that_is_interrupted_leaves_the_one_before(logs, out, monkeypa
 
 def test_the_standard_picture_shows_estimates_truth_and_errors(out):
     """A panel of errors for each estimate; the errors are those of the summary."""
-    run = cosim.run("academic", set={"scenario.stop": 8.0, "scenario.step": 0.01})
+    run = cosim.run("academic", set={"scenario.stop": 8.0, "scenario.step": 0.02})
     plot_run(run, out)
     expected = {"academic", "errors", "error of observer.delta", "identifier.theta[1]"}
     assert expected <= set(texts(out))
@@ -250,8 +239,7 @@ def test_a_method_far_beyond_most_does_not_hide_the_others():
     for size in (1.0, 2.0, 0.5, 1e3, np.nan):
         curves.append(Curve("theta", Unit(None), t, size * np.sin(9.0 * t)))
     assert list(map(id, near_most(curves[:4]))) == list(map(id, curves[:3]))
-    assert len(near_most(curves[3:4])) == 1
-    assert len(near_most(curves[4:])) == 1
+    assert len(near_most(curves[3:4])) == len(near_most(curves[4:])) == 1
 
 
 # --- differences ---
@@ -265,7 +253,7 @@ def rows():
 
 @pytest.fixture
 def draw(tmp_path, rows, out, monkeypatch):
-    """Return a function that draws the difference to other rows, and returns the lines drawn."""
+    """Return a function that draws the difference to other rows: lines of panels, and texts."""
 
     def draw(changed, **options):
         record(tmp_path / "first.mcap", rows=rows)
@@ -279,50 +267,45 @@ def draw(tmp_path, rows, out, monkeypatch):
 
         monkeypatch.setattr(runs, "draw_curves", keep)
         plot_difference(diff(*both, **options), both, out)
-        return panels
+        both_runs, (apart,) = panels
+        return *both_runs, apart, set(texts(out))
 
     return draw
 
 
-def test_both_curves_and_their_difference_are_drawn(rows, draw, out):
+def test_both_curves_and_their_difference_are_drawn(rows, draw):
     """Of the element that is farthest apart, by the names of the runs, with the tolerance."""
     changed = rows.copy()
     changed[40:, 2] += 0.5
-    (first, second), (apart,) = draw(changed, tol={"plant.*": 0.1})
+    first, second, apart, shown = draw(changed, tol={"plant.*": 0.1})
     assert np.array_equal(first.get_ydata(), rows[:, 2])
     assert np.array_equal(second.get_ydata(), changed[:, 2])
     assert np.array_equal(apart.get_ydata(), changed[:, 2] - rows[:, 2])
     assert np.array_equal(apart.get_xdata(), np.arange(101) * STEP_NS / 1e9)
     assert {line.get_drawstyle() for line in (first, second, apart)} == {"default"}
     expected = {"plant.x_a[1] (first)", "plant.x_a[1] (second)", "tolerance", "first outside"}
-    assert expected <= set(texts(out))
-    assert "plant.x_a[1]: largest |a - b| = 0.5" in texts(out)
+    assert expected | {"plant.x_a[1]: largest |a - b| = 0.5"} <= shown
 
 
 def test_a_discrete_signal_and_its_difference_hold_between_rows(rows, draw):
-    """They are drawn as steps, such as n of the plant."""
-    changed = rows.copy()
-    changed[40:60, 4] += 2.0
-    both, (apart,) = draw(changed)
-    assert [line.get_drawstyle() for line in (*both, apart)] == 3 * ["steps-post"]
-    assert np.array_equal(apart.get_ydata(), changed[:, 4] - rows[:, 4])
+    """They are drawn as steps, such as n of the plant; runs of other lengths with their own rows.
+
+    Their difference is drawn at the instants that both have.
+    """
+    changed = rows[:51].copy()
+    changed[40:, 4] += 2.0
+    first, second, apart, _ = draw(changed)
+    assert {line.get_drawstyle() for line in (first, second, apart)} == {"steps-post"}
+    assert [len(line.get_xdata()) for line in (first, second, apart)] == [101, 51, 51]
+    assert np.array_equal(apart.get_ydata(), changed[:, 4] - rows[:51, 4])
 
 
-def test_a_number_beside_none_is_drawn_where_it_is(rows, draw, out):
+def test_a_number_beside_none_is_drawn_where_it_is(rows, draw):
     """The difference is infinite there; the element is the first that is outside."""
     changed = rows.copy()
     changed[30, 2] = np.nan
     rows[20, 1] = changed[20, 1] = np.inf
-    draw(changed)
-    assert "plant.x_a[1]: largest |a - b| = inf" in texts(out)
-
-
-def test_runs_of_other_lengths_are_drawn(rows, draw):
-    """Each with its own rows; the difference at those that both have."""
-    changed = rows[:51].copy()
-    changed[10, 0] += 1.0
-    (first, second), (apart,) = draw(changed)
-    assert [len(line.get_xdata()) for line in (first, second, apart)] == [101, 51, 51]
+    assert "plant.x_a[1]: largest |a - b| = inf" in draw(changed)[-1]
 
 
 # --- texts that fit ---
@@ -350,9 +333,7 @@ def test_a_text_is_broken_after_blanks_and_names_after_their_parts(text, count, 
     ("scale", "low", "high", "fewest"),
     [
         ("log", 0.011, 0.08, 3),  # 3e-2 and 4e-2 would be on each other
-        ("log", 1.0, 1.5, 3),  # a number for every tenth
         ("log", 0.5, 5e4, 5),
-        ("linear", 4.00001, 4.00002, 2),
         ("linear", 1.7e9 + 0.01, 1.7e9 + 0.02, 2),
     ],
 )

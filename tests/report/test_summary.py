@@ -12,7 +12,7 @@ from cosim.core.gain.loop_gain import LoopGain
 from cosim.documents import plain
 from cosim.errors import LogError
 from cosim.report.tables.run import print_summary
-from tests.log.crafting import put_together, take_apart
+from tests.report.forging import forged
 
 GAIN = plain(LoopGain(("a",), "jacobi", h=0.1, steps=1))
 WINDOW = {"half_width_steps": 1, "order": 2, "noise": [], "amplitude": 1.0, "bandwidth": 1.0}
@@ -66,9 +66,7 @@ def test_a_notebook_shows_what_the_table_after_a_run_shows(capsys, scenario, ste
     ("record", "key", "value", "named"),
     [
         ("cosim.run", "start_time", "NaN", ["start_time", "got nan"]),
-        ("cosim.run", "start_time", '"soon"', ["start_time", "got 'soon'"]),
         ("cosim.run", "first_order_loops", "[", ["first_order_loops", "JSON"]),
-        ("cosim.run", "first_order_loops", "[" * 100_000, ["first_order_loops", "recursion"]),
         ("cosim.run", "first_order_loops", "3", ["first_order_loops", "got 3"]),
         (
             "cosim.run",
@@ -78,17 +76,12 @@ def test_a_notebook_shows_what_the_table_after_a_run_shows(capsys, scenario, ste
         ),
         ("cosim.run", "loop_gains", json.dumps([{**GAIN, "rho": -1.0}]), ["loop_gains", "-1.0"]),
         ("cosim.run", "loop_gains", json.dumps([{**GAIN, "steps": 10**400}]), ["0.steps"]),
-        ("cosim.run", "loop_gains", json.dumps([{**GAIN, "h": 0.0}]), ["0.h", "got 0.0"]),
-        ("cosim.run", "loop_gains", json.dumps([{**GAIN, "parts": 0}]), ["0.parts", "got 0"]),
         ("cosim.run", "replay", '{"log": "a"}', ["replay", "content_hash", "got none"]),
-        ("cosim.run", "truth", '{"plant.y": {}}', ["truth", "plant.y", "got {}"]),
         ("cosim.run", "truth", '{"plant.y": [1, 2]}', ["truth", "plant.y", "1 values", "[1"]),
         ("cosim.run", "truth", '{"plant.z": 1}', ["truth", "plant.z"]),
         ("identifier", "start_time", ..., ["'identifier'", "start_time and P0"]),
-        ("identifier", "P0", ..., ["'identifier'", "start_time and P0"]),
         ("identifier", "T_f", ..., ["'identifier'", "T_obs, T_f, D_max, T_id, or none"]),
         ("identifier", "P0", -1.0, ["'identifier'", "P0", "greater than 0", "got -1.0"]),
-        ("identifier", "P0", float("inf"), ["'identifier'", "P0", "finite", "got inf"]),
         ("identifier", "notes", [1], ["'identifier'", "notes.0", "got 1"]),
         ("identifier", "newer", json.loads(DEEP), ["'identifier'", "recursion"]),
         ("observer", "choice", {"request": {}, "result": WINDOW}, ["choice.result.", "got none"]),
@@ -96,17 +89,12 @@ def test_a_notebook_shows_what_the_table_after_a_run_shows(capsys, scenario, ste
         ("observer", "noise_gain", [1.0, 2.0], ["metadata of 'observer'", "noise gains", "got 2"]),
         ("observer", "noise_gain", [True], ["noise_gain.0", "got True"]),
         ("results", "real_time", {**LATE, "factor": 10**400}, ["real_time", "factor", "finite"]),
-        ("results", "real_time", {**LATE, "newer": 1}, ["real_time", "newer"]),
         ("results", "until", "yes", ["until", "got 'yes'"]),
-        ("results", "substeps", {}, ["substeps", "got {}"]),
         ("results", "substeps", None, ["substeps", "got None"]),
         ("results", "substeps", [{"components": []}], ["substeps", "got none"]),
         ("results", "identification", None, ["identification", "got None"]),
-        ("results", "initial_states", None, ["initial_states", "got None"]),
         ("results", "substeps", json.loads(DEEP), ["substeps", "recursion"]),
         ("results", "certificate", {"step": 0.1}, ["certificate", "finer_steps", "got none"]),
-        ("results", "certificate", [], ["certificate", "got []"]),
-        ("results", "certificate", {"step": "small"}, ["certificate", "step", "got 'small'"]),
         ("results", "certificate", {**STEPS, "signals": {"a.y": 3}}, ["signals.a.y", "got 3"]),
         ("results", "identification", {"identifier": {"noise_model": 3}}, ["noise_model", "got 3"]),
         (
@@ -121,47 +109,44 @@ def test_a_damaged_record_is_one_error_and_all_else_is_read(
     valid, call, tmp_path, record, key, value, named
 ):
     """The error names the log, the record and the key, what is expected there and what is there."""
-    content = take_apart(valid.path)
-    records = dict(content.metadata)
-    files = dict(content.attachments)
+
+    def change(found):
+        found.pop(key) if value is ... else found.update({key: value})
+
+    def change_text(text):
+        found = json.loads(text)
+        change(found)
+        return json.dumps(found)
+
+    said = {f"cosim.component.{record}": {"metadata": change_text}}
     if record == "cosim.run":
-        records[record][key] = value
-    elif record == "results":
-        results = {**json.loads(files["result.json"]), key: value}
-        content.attachments = [*({**files, "result.json": json.dumps(results).encode()}).items()]
-    else:
-        items = records[f"cosim.component.{record}"]
-        metadata = {**json.loads(items["metadata"]), key: value}
-        if value is ...:
-            del metadata[key]
-        items["metadata"] = json.dumps(metadata)
-    damaged = put_together(content, tmp_path / "a.mcap")
+        said = {record: {key: value}}
+    results = change if record == "results" else None
+    damaged = forged(valid.path, tmp_path / "a.mcap", metadata=said, results=results)
     log = cosim.open_log(damaged)
     with pytest.raises(LogError) as error:
         cosim.certificate(log) if key == "certificate" else log.summary()
-    assert str(error.value) in unescape(log._repr_html_())
+    message = str(error.value)
+    assert message in unescape(log._repr_html_())
     for text in (str(damaged), *named):
-        assert text in str(error.value)
-    assert "expected" in str(error.value) or "available" in str(error.value)
+        assert text in message
+    assert "expected" in message or "available" in message
     for signal in valid:
         np.testing.assert_array_equal(log[signal], valid[signal])
-    code, output, message = call("info", damaged, "--json")
+    code, output, err = call("info", damaged, "--json")
     shown = json.loads(output)
     whole = json.loads(call("info", valid.path, "--json")[1])
-    assert shown.get("problems", [str(error.value)]) == [str(error.value)]
-    assert (code, str(error.value) in message) == ((2, True) if "problems" in shown else (0, False))
+    assert shown.get("problems", [message]) == [message]
+    assert (code, message in err) == ((2, True) if "problems" in shown else (0, False))
     assert shown["signals"] == whole["signals"]
-    others = shown["metadata"].keys() - {record}
-    assert others == whole["metadata"].keys() - {record}
-    for name in others:
-        assert shown["metadata"][name] == whole["metadata"][name]
+    for content in (shown, whole):
+        content["metadata"].pop(record, None)
+    assert shown["metadata"] == whole["metadata"]
 
 
 def test_a_record_of_a_newer_version_says_so(valid, tmp_path):
-    content = take_apart(valid.path)
-    records = dict(content.metadata)
-    records["cosim.env"]["cosim"] = "99.1"
-    records["cosim.run"]["loop_gains"] = json.dumps([{**GAIN, "newer": 1}])
-    damaged = put_together(content, tmp_path / "a.mcap")
+    gains = json.dumps([{**GAIN, "newer": 1}])
+    said = {"cosim.env": {"cosim": "99.1"}, "cosim.run": {"loop_gains": gains}}
+    damaged = forged(valid.path, tmp_path / "a.mcap", metadata=said)
     with pytest.raises(LogError, match=r"a\.mcap \(written by cosim 99\.1\): loop_gains .*newer"):
         cosim.open_log(damaged).summary()

@@ -1,4 +1,4 @@
-"""What a replay proves of its log, and what it does not."""
+"""What a replay proves of its log, and what it does not: all checksums of a forged log fit."""
 
 import json
 
@@ -6,29 +6,46 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.errors import LogError, UsageError
+from cosim.errors import CosimError, LogError, RunError, UsageError
 from cosim.log import open_log
 from cosim.log.comparison.difference import ElementDifference
 from cosim.log.editing.cutting import cut
+from cosim.report.statements import Contradiction
 from cosim.report.verification import verify
+from cosim.scenario.document.document import shipped
 from tests.log.crafting import change_rows, put_together, take_apart
-from tests.report.forging import forged, with_own_hash
+from tests.report.forging import forged, with_entries, with_own_hash
 
 COPIED = ("plant.y", "plant.x_a", "plant.x_b")
 
 
+def recorded(folder, *changes):
+    """Record a run of the example, whose text is changed; return its path."""
+    text = cosim.load("academic").document.text
+    for before, after in changes:
+        assert before in text
+        text = text.replace(before, after)
+    (folder / "short.toml").write_text(text)
+    return cosim.run(folder / "short.toml", out=folder / "a.mcap").path
+
+
 @pytest.fixture(scope="module")
 def valid(tmp_path_factory):
-    """Record a short run; return its path."""
-    path = tmp_path_factory.mktemp("valid") / "a.mcap"
-    cosim.run("academic", out=path, set={"scenario.stop": 0.05})
-    return path
+    """Record a short run of a scenario that nothing was set in; return its path."""
+    return recorded(tmp_path_factory.mktemp("valid"), ("stop = 40.0", "stop = 0.05"))
 
 
-@pytest.fixture
-def verify_command(call):
-    """Verify a log on the command line, and return exit code, stdout and stderr."""
-    return lambda path, *options: call("replay", path, "--verify", *options)
+@pytest.fixture(scope="module")
+def judged(tmp_path_factory):
+    """Record a run whose identifier has estimates; return its path."""
+    own = "[components.identifier]\n"
+    return recorded(
+        tmp_path_factory.mktemp("judged"),
+        ("stop = 40.0", "stop = 8.0"),
+        ("step = 1e-3", "step = 1e-2"),
+        (own, f"{own}irregular = 1e-5\n"),
+        ("filter_rate = 1e3", "filter_rate = 100.0"),
+    )
 
 
 def verified(path, **options):
@@ -36,8 +53,19 @@ def verified(path, **options):
     return verify(open_log(path), cosim.replay(path, **options))
 
 
+def contradicted(path):
+    """Return the statements of a log that its replay contradicts; nothing else fails it."""
+    verification = verified(path)
+    assert verification.difference.same_rows
+    assert verification.passed is not bool(verification.contradictions)
+    return [entry.statement for entry in verification.contradictions]
+
+
+# --- rows ---
+
+
 def scaled(valid, path, columns, factor, *, is_forged=False):
-    """Multiply some columns of the recorded plant, all checksums right; return the path.
+    """Multiply some columns of the recorded plant; return the path.
 
     ``is_forged``: the recorded content hash and the last row are those of the changed rows, too.
     """
@@ -84,23 +112,23 @@ def test_a_forged_hash_is_not_found_where_nothing_is_computed(valid, tmp_path):
     assert "first: observer.y" in verification.problems[0]
 
 
-def test_the_command_line_says_what_was_proven(valid, tmp_path, verify_command):
+def test_the_command_line_says_what_was_proven(valid, tmp_path, call):
     """Exit 0 with the signals computed and copied; exit 1 with both hashes."""
-    code, out, _ = verify_command(valid, "--json")
-    assert code == 0
+    code, out, _ = call("replay", valid, "--verify", "--json")
     shown = json.loads(out)
     log = open_log(valid)
     own = log.recorded_hash
+    assert code == 0
     assert shown["content_hash"] == {"recorded": own, "found": own, "equal": True}
     assert shown["copied"] == list(COPIED)
     assert sorted(shown["computed"] + shown["copied"]) == sorted(log.signals)
     path = scaled(valid, tmp_path / "b.mcap", slice(3, 5), 2.0)
-    code, _, err = verify_command(path)
-    assert code == 1
+    code, out, err = call("replay", path, "--verify")
+    assert (code, out) == (1, "")
     assert f"content hash {open_log(path).content_hash()}, recorded {own}" in err
 
 
-def test_one_flipped_bit_is_shown_with_all_that_belongs_to_it(valid, tmp_path, verify_command):
+def test_one_flipped_bit_is_shown_with_all_that_belongs_to_it(valid, tmp_path, call):
     """One bit of one value: its signal, its time, both values to the last digit, and one bit."""
     content = take_apart(valid)
     observer = open_log(valid).channels["observer"]
@@ -113,17 +141,14 @@ def test_one_flipped_bit_is_shown_with_all_that_belongs_to_it(valid, tmp_path, v
     change_rows(content, "observer", flip)
     dict(content.metadata)["cosim.env"]["numpy"] = "0.1.2"
     path = put_together(content, tmp_path / "b.mcap")
-    right = cosim.open_log(valid)["observer.x_a"][20, 1].item()
-    wrong = cosim.open_log(path)["observer.x_a"][20, 1].item()
-    assert wrong != right
-    code, _, shown = verify_command(path)
+    right, wrong = (open_log(one)["observer.x_a"][20, 1].item() for one in (valid, path))
+    code, _, shown = call("replay", path, "--verify")
     assert code == 1
     values = f"log {wrong!r}, replay {right!r}; 1 of the 64 bits"
     assert f"first: observer.x_a[1] at t = 0.02 s: {values}" in shown
     assert f"numpy was 0.1.2, is {np.__version__}\n" in shown
     assert "then" not in shown
-    _, out, _ = verify_command(path, "--json")
-    found = json.loads(out)
+    found = json.loads(call("replay", path, "--verify", "--json")[1])
     first = found["first"]
     assert (first["signal"], first["time_ns"]) == ("observer.x_a[1]", 20_000_000)
     assert (first["a"], first["b"], first["differing_bits"]) == (wrong, right, 1)
@@ -131,8 +156,7 @@ def test_one_flipped_bit_is_shown_with_all_that_belongs_to_it(valid, tmp_path, v
     assert patterns == np.array([wrong, right]).view(np.uint64).tolist()
     assert found["environment"] == {"numpy": {"recorded": "0.1.2", "present": np.__version__}}
     statuses = {entry["component"]: entry["status"] for entry in found["components"]}
-    assert statuses.pop("observer") == "differs"
-    assert statuses.pop("plant") == "copied"
+    assert (statuses.pop("observer"), statuses.pop("plant")) == ("differs", "copied")
     assert set(statuses.values()) == {"equal"}
     assert list(found["components"][0]) == ["component", "status", "first", "reason"]
 
@@ -162,73 +186,325 @@ def test_every_component_that_differs_is_shown_with_its_first_difference(valid):
 def test_differing_bits_are_counted(a, b, bits, texts):
     """All of the 64 bits of IEEE 754 count, sign and payload of NaN too."""
     element = ElementDifference("plant.y", 0, a, b)
-    assert element.differing_bits == bits
-    assert element.texts == texts
+    assert (element.differing_bits, element.texts) == (bits, texts)
 
 
-def test_only_a_replay_is_verified(valid):
-    """A run says nothing of what was copied."""
-    with pytest.raises(LogError, match="this is not a replay"):
-        verify(open_log(valid), open_log(valid))
+# --- what a log says beside its rows ---
+
+SINE = 'kind = "sine"\namplitude = 1.0\nrate = 1.0'
 
 
-@pytest.fixture(scope="module")
-def identified(tmp_path_factory):
-    """Record a run that is long enough for a verdict; return its path."""
-    path = tmp_path_factory.mktemp("identified") / "a.mcap"
-    cosim.run("academic", out=path, set={"scenario.stop": 8.0, "scenario.step": 0.01})
-    return path
+@pytest.mark.parametrize(
+    ("old", "new", "statement"),
+    [
+        ("= [-0.1, -0.3]", "= [-0.1003, -0.2981]", "truth.truth"),
+        ("stop = 0.05", "stop = 0.06", "times.stop"),
+        ("stop = 0.05", "stop = 1e9", "times.stop"),
+        ("stop = 0.05", "", "times.stop"),
+        (SINE, 'kind = "fmu"\npath = "x"', "component tables.u.table"),
+        ("[connections]", '[swap]\nu = "x.fmu"\n[connections]', "component tables.u.table"),
+        ('name = "academic"', 'name = "other"', "times.scenario"),
+        ('"observer.u" = "u.y"', '"observer.u" = "delta.y"', "connections.observer.u"),
+    ],
+)
+def test_another_scenario_is_found(valid, tmp_path, old, new, statement):
+    """A replay runs the text; reports show the metadata: the two must be of one scenario."""
+    verification = verified(forged(valid, tmp_path / "b.mcap", text=(old, new)))
+    assert not verification.passed
+    assert statement in [entry.statement for entry in verification.contradictions]
 
 
-def forge(results):
-    """Give other verdicts, and another last row."""
-    for parameter in results["identification"]["identifier"]["parameters"]:
-        parameter["verdict"] = "NOT_IDENTIFIABLE"
-    for label in results["last"]:
-        if label.startswith("observer."):
-            results["last"][label] = 7.0
+def altered(text):
+    """Return another text, of JSON another value that is much like it."""
+    try:
+        value = json.loads(text)
+    except ValueError:
+        return f"{text}x"
+    match value:
+        case dict():
+            value = {**value, "added": 1.0}
+        case [first, *others]:
+            value = [not first, *others]
+        case float() | int():
+            value += 1
+        case _:
+            value = ["added"]
+    return json.dumps(value)
+
+
+# What a replay takes as it stands: its input, and what is said of components that it copies.
+TAKEN = {("cosim.run", "edits"), ("cosim.run", "format")}
+for key in ("metadata", "fingerprint", "cosim.held", "cosim.design"):
+    TAKEN.add(("cosim.component.plant", key))
+OF_MACHINE = {"cosim.env", "cosim.written"}
+
+
+@pytest.mark.slow
+def test_no_metadata_can_be_changed_that_a_replay_computes(valid, tmp_path):
+    """Whatever entry is altered: the log is refused, or its verification fails."""
+    entries = {(name, key) for name, items in take_apart(valid).metadata for key in items}
+    noticed = set()
+    for name, key in entries:
+        try:
+            path = forged(valid, tmp_path / "b.mcap", metadata={name: {key: altered}})
+            is_noticed = not verified(path).passed
+        except CosimError:
+            is_noticed = True
+        if is_noticed:
+            noticed.add((name, key))
+    assert {entry for entry in entries - noticed if entry[0] not in OF_MACHINE} <= TAKEN
+    assert len(noticed) > 30
+
+
+def change_result(key):
+    """Return what changes an entry of the results."""
+
+    def change(results):
+        entry = results[key]
+        is_row = isinstance(entry, dict)
+        results[key] = {**entry, "identifier.theta[0]": -0.1} if is_row else f"{entry}x"
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("results", "place"),
+    [
+        (change_result("content_hash"), "result.json."),
+        (change_result("last"), "last row."),
+        (b"{}", "result.json."),
+        (b"", "result.json."),
+        *(
+            pytest.param(change_result(key), "result.json.", marks=pytest.mark.slow)
+            for key in ("status", "reason", "end_ns")
+        ),
+    ],
+)
+def test_no_result_can_be_changed(valid, tmp_path, results, place):
+    """The attachment with the results says what the log and the last row say."""
+    first, *_ = contradicted(forged(valid, tmp_path / "b.mcap", results=results))
+    assert first.startswith(place)
+
+
+def scale(*place, factor):
+    """Return what multiplies a number of what is said of an identifier."""
+
+    def change(own):
+        for key in place[:-1]:
+            own = own[key]
+        own[place[-1]] *= factor
+
+    return change
+
+
+NUMBERS = [
+    ("parameters", 0, "value"),
+    ("amplitudes", 0, 1, "value"),
+    ("irregular", "effects", 1, "lower"),
+]
+ERROR = {"error": "a constant on y", "size": 1.0, "half_widths": {"theta[0]": 3.0}, "text": ""}
+VERDICT = "NOT_IDENTIFIABLE"
+
+
+@pytest.mark.parametrize(
+    ("change", "statements"),
+    [
+        *((scale(*at, factor=1.0 + 1e-3), [".".join(map(str, at))]) for at in NUMBERS),
+        # what other processors make of them
+        *((scale(*at, factor=1.0 + 1e-9), []) for at in NUMBERS),
+        (lambda own: own.update(undetected=[ERROR]), ["undetected"]),
+        (lambda own: own["parameters"][0].update(verdict=VERDICT), ["parameters.0.verdict"]),
+        # older logs have none of them
+        (lambda own: [own.pop(key) for key in ("amplitudes", "undetected", "irregular")], []),
+    ],
+)
+def test_no_estimate_can_be_changed(judged, tmp_path, change, statements):
+    """Neither parameter, amplitude, interval nor verdict; no error is undetected that is not."""
+
+    def change_results(results):
+        change(results["identification"]["identifier"])
+
+    found = contradicted(forged(judged, tmp_path / "b.mcap", results=change_results))
+    assert found == [f"verdicts.identifier.{statement}" for statement in statements]
+
+
+def test_what_was_compared_is_said(judged, tmp_path):
+    """All components of a whole log are computed or copied; a part has no last row of its run."""
+    known = "truth connections schedule times component-tables overrides substeps warnings"
+    compared = verified(judged).statements.replace(" ", "-").split(",-")
+    assert compared == [*known.split(), "last-row", "verdicts"]
+    part = cut(judged, None, 4.0, tmp_path / "part.mcap")
+    assert "last row" not in verify(part, cosim.replay(part)).statements
 
 
 def test_a_partial_replay_vouches_only_for_what_it_computes(tmp_path):
     """Between rows that were left out no observer is computed: its forged values are unseen."""
     settings = {"scenario.stop": 8.0, "scenario.step": 0.01, "record.every": 7}
     cosim.run("academic", out=tmp_path / "a.mcap", set=settings)
-    path = forged(tmp_path / "a.mcap", tmp_path / "b.mcap", results=forge)
-    verification = verified(path)
+
+    def forge(results):
+        results["identification"]["identifier"]["parameters"][0]["verdict"] = VERDICT
+        results["last"]["observer.delta"] = 7.0
+
+    verification = verified(forged(tmp_path / "a.mcap", tmp_path / "b.mcap", results=forge))
     assert verification.passed
     assert not {"verdicts", "truth"} & set(verification.statements.split(", "))
     assert verification.statements.endswith("u, delta")
 
 
-@pytest.mark.slow
-def test_forged_verdicts_are_found_where_they_are_said_to_agree(identified, tmp_path):
-    """All components of a whole log are computed or copied."""
-    known = "truth connections schedule times component-tables overrides substeps warnings"
-    compared = verified(identified).statements.replace(" ", "-").split(",-")
-    assert compared == [*known.split(), "last-row", "verdicts"]
-    path = forged(identified, tmp_path / "b.mcap", results=forge)
-    found = {entry.statement for entry in verified(path).contradictions}
-    verdict = "verdicts.identifier.parameters.0.verdict"
-    assert {verdict, "last row.observer.u"} <= found
+def test_of_many_contradictions_the_first_are_shown(valid, tmp_path):
+    """Every value of the last row may be wrong; all of them stand in the JSON."""
+
+    def change(results):
+        results["last"] = dict.fromkeys(results["last"], 0.25)
+
+    verification = verified(forged(valid, tmp_path / "b.mcap", results=change))
+    count = len(verification.contradictions)
+    assert count > 9
+    assert len(verification.problems) == 9
+    assert f"{count - 8} more" in verification.problems[-1]
+    assert len(verification.to_dict()["contradictions"]) == count
 
 
-def test_a_part_is_not_said_to_have_the_last_row_of_the_replay(identified, tmp_path):
-    """What its result says of a last row is that of the whole run, and not compared."""
-    part = cut(identified, None, 4.0, tmp_path / "part.mcap")
-    assert "last row" not in verify(part, cosim.replay(part)).statements
+def test_an_end_before_the_stop_needs_a_reason(valid, tmp_path):
+    """A complete run without a stop reason ends where its scenario does."""
+    text = ("stop = 0.05", "stop = 0.06")
+    said = {"cosim.run": {"stop": "0.06"}}
+    (found,) = verified(forged(valid, tmp_path / "b.mcap", text=text, metadata=said)).contradictions
+    assert found == Contradiction("end of the run [ns]", 50_000_000, 60_000_000)
+
+
+def test_declared_signals_are_compared(valid, tmp_path):
+    """Another unit is no difference of a row, and the content hash can be computed anew."""
+    content = take_apart(valid)
+    for topic, _, items in content.channels.values():
+        if topic == "/observer":
+            items["cosim.signals"] = items["cosim.signals"].replace(
+                '"name":"delta","size":1,"unit":null', '"name":"delta","size":1,"unit":"mm"'
+            )
+        if topic == "/regressor":
+            items["cosim.kind"] = "identifier"
+    path = with_own_hash(put_together(content, tmp_path / "b.mcap"))
+    assert set(contradicted(path)) == {
+        "component tables.observer.signals.3.unit",
+        "component tables.regressor.kind",
+    }
+
+
+OBSERVER = "cosim.component.observer"
 
 
 @pytest.mark.parametrize(
-    "changes", [{"record.every": 10}, {"record.signals": ["u.y"]}], ids=["every", "signals"]
+    ("entries", "passes"),
+    [
+        ([-2.0000001, -4.0], True),  # [-4, -2] in the log: those of another machine
+        ([-2.2, -4.0], False),
+        ([-4.0], False),
+        (["x", -2.0], False),
+        ([10**400], False),  # no float holds it
+    ],
 )
+def test_eigenvalues_are_compared_but_for_what_depends_on_the_processor(
+    valid, tmp_path, entries, passes
+):
+    """Their order and last digits are those of the machine that computed them."""
+    said = {OBSERVER: {"metadata": with_entries(eigenvalues=entries)}}
+    found = contradicted(forged(valid, tmp_path / "b.mcap", metadata=said))
+    assert found == ([] if passes else ["component tables.observer.metadata.eigenvalues"])
+
+
+def test_no_metadata_hides_a_table(valid, tmp_path):
+    """A component may call its metadata as it likes, also as statements are called."""
+    table = dict(take_apart(valid).metadata)[OBSERVER]["table"]
+    said = {OBSERVER: {"metadata": with_entries(table=table), "table": altered}}
+    found = contradicted(forged(valid, tmp_path / "b.mcap", metadata=said))
+    assert "component tables.observer.table" in found
+
+
+@pytest.mark.slow
+def test_warnings_of_computed_components_are_compared(tmp_path):
+    """A warning cannot be taken out, of the metadata, the messages, or the results."""
+    valid, path = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    held = {"scenario.input_interpolation": "zero-order", "scenario.stop": 0.05}
+    cosim.run("academic", out=valid, set=held)
+    assert contradicted(valid) == []
+    said = {"cosim.run": {"warnings": "[]"}}
+    assert contradicted(forged(valid, path, metadata=said)) == ["warnings.0.0"]
+    content = take_apart(valid)
+    content.messages = [row for row in content.messages if b"do not trust delta" not in row[3]]
+    assert "warnings.1" in contradicted(put_together(content, path))
+    forged(valid, path, results=lambda results: results.update(warnings=[]))
+    assert contradicted(path) == ["result.json.warnings"]
+
+
+@pytest.mark.parametrize(("version", "passes"), [("0.0.1", True), (cosim.__version__, False)])
+def test_the_sentences_of_another_version_are_not_compared(valid, tmp_path, version, passes):
+    """It may say the same in other words; the verification does not claim that it looked."""
+    said = json.dumps([["observer", "a sentence of old"]])
+    changed = {"cosim.run": {"warnings": said}, "cosim.env": {"cosim": version}}
+    verification = verified(forged(valid, tmp_path / "b.mcap", metadata=changed))
+    assert verification.passed is passes
+    assert ("warnings" in verification.statements.split(", ")) is not passes
+    assert ("warnings of another version of cosim" in verification.lines[-1]) is passes
+
+
+# --- what passes, and what is no verification ---
+
+
+@pytest.mark.fast("pair", "academic")
+@pytest.mark.parametrize("name", shipped())
+def test_a_log_and_the_log_of_its_replay_pass(name, tmp_path):
+    """Of every shipped scenario: a replay says nothing else of a run than the run did."""
+    path = tmp_path / "a.mcap"
+    cosim.run(name, out=path, set={"scenario.stop": 0.05})
+    again = cosim.replay(path, out=tmp_path / "b.mcap")
+    assert verify(open_log(path), again).problems == []
+    assert verified(again.path).problems == []
+
+
+def test_the_log_of_a_run_that_failed_or_was_stopped_passes(tmp_path):
+    """What it says of its end is about a run that did not reach its stop."""
+    (tmp_path / "fails.toml").write_text(
+        'scenario = { name = "fails", stop = 0.1, step = 0.01 }\n[components]\n'
+        'w = { kind = "expression", y = "log(0.05 - t)" }\n'
+        'run = { kind = "lag", time_constant = 0.05 }\n[connections]\n"run.u" = "w.y"\n'
+    )
+    with pytest.raises(RunError):
+        cosim.run(tmp_path / "fails.toml", out=tmp_path / "a.mcap")
+
+    def interrupt(time, end):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        cosim.run("academic", out=tmp_path / "b.mcap", block=20, progress=interrupt)
+    for name, status in (("a.mcap", "failed"), ("b.mcap", "interrupted")):
+        assert open_log(tmp_path / name).status == status
+        assert verified(tmp_path / name).problems == []
+
+
+def test_the_log_of_a_swapped_run_passes_without_what_was_swapped_in(valid, tmp_path):
+    """The swap report and its warnings are of the run; a replay compares nothing with them."""
+    plant = tmp_path / "plant.mcap"
+    plant.write_bytes(valid.read_bytes())
+    path = tmp_path / "a.mcap"
+    cosim.run("academic", out=path, swap={"plant": plant}, set={"scenario.stop": 0.05})
+    plant.unlink()
+    assert verified(path).problems == []
+
+
+def test_a_log_without_an_estimate_is_not_contradicted_by_a_replay_without_verdicts(tmp_path):
+    """There is nothing in it that the replay should have found."""
+    short = {"scenario.stop": 0.1, "scenario.step": 0.02}
+    log = cosim.run("academic", out=tmp_path / "a.mcap", set=short)
+    assert log.results["identification"]["identifier"].keys() == {"problem"}
+    again = cosim.replay(log, set={"scenario.verdicts": False})
+    assert verify(log, again).contradictions == ()
+
+
+@pytest.mark.parametrize("changes", [{"record.every": 10}, {"record.signals": ["u.y"]}])
 def test_a_replay_that_records_less_than_its_log_verifies_nothing(valid, changes):
-    """What it left out would pass unseen."""
+    """What it left out would pass unseen; so would all of a run that is no replay."""
     with pytest.raises(UsageError, match="records only"):
         verified(valid, set=changes)
-
-
-def test_the_end_of_a_verified_replay_is_that_of_the_log(valid, verify_command):
-    """As for ``--stop``: what is behind would not be compared."""
-    code, _, err = verify_command(valid, "--set", "scenario.stop=0.02")
-    assert code == 2
-    assert "omit --set scenario.stop" in err
+    with pytest.raises(LogError, match="this is not a replay"):
+        verify(open_log(valid), open_log(valid))

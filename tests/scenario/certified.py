@@ -73,39 +73,6 @@ class Relay:
         return self.outputs(t, u[1:])
 
 
-class Lorenz:
-    """One equation of three: x' = 10 (y - x), y' = x (28 - z) - y, z' = x y - 8/3 z."""
-
-    interface = Interface((Signal("a"), Signal("b")), (Signal("y"),), feedthrough={})
-
-    def __init__(self, number: int):
-        self.number = number
-
-    def initialize(self, t, u):
-        self.x = 1.0 + self.number
-        return self.outputs(t, u)
-
-    def outputs(self, t, u):
-        return np.array([self.x])
-
-    def advance(self, t, h, u):
-        rows = np.empty((len(t) - 1, 1))
-        for k in range(len(rows)):
-            first = self._rate(self.x, u[k])
-            second = self._rate(self.x + h * first, u[k + 1])
-            self.x += 0.5 * h * (first + second)
-            rows[k] = self.x
-        return rows
-
-    def _rate(self, x, u):
-        a, b = u
-        if self.number == 0:
-            return 10.0 * (a - x)
-        if self.number == 1:
-            return a * (28.0 - b) - x
-        return a * b - 8.0 / 3.0 * x
-
-
 class Echo:
     """y at the end of a step is -1.02 u at its start: a gain a step, whatever the step is."""
 
@@ -139,10 +106,12 @@ def write(folder, text):
 
 
 def lag_behind(source):
-    """Return a scenario in which a lag of 0.5 s follows a source of our own."""
+    """Return a scenario in which a lag of 0.5 s follows a class of ours, or what a table says."""
+    name, value = source
+    table = value if name == "kind" else f'"python", class = "parts:{name}", instant = {value}'
     return f"""
         [components]
-        source = {{ kind = "python", class = "parts:{source[0]}", instant = {source[1]} }}
+        source = {{ kind = {table} }}
         lag = {{ kind = "lag", time_constant = 0.5 }}
 
         [connections]
@@ -161,17 +130,17 @@ HOLDER = """
 
 LORENZ = """
     [components]
-    x = { kind = "python", class = "parts:Lorenz", number = 0 }
-    y = { kind = "python", class = "parts:Lorenz", number = 1 }
-    z = { kind = "python", class = "parts:Lorenz", number = 2 }
+    x = { kind = "integrator", initial = 1.0 }
+    y = { kind = "integrator", initial = 2.0 }
+    z = { kind = "integrator", initial = 3.0 }
+    of_x = { kind = "expression", y = "10*(y.y - x.y)" }
+    of_y = { kind = "expression", y = "x.y*(28 - z.y) - y.y" }
+    of_z = { kind = "expression", y = "x.y*y.y - 8/3*z.y" }
 
     [connections]
-    "x.a" = "y.y"
-    "x.b" = "z.y"
-    "y.a" = "x.y"
-    "y.b" = "z.y"
-    "z.a" = "x.y"
-    "z.b" = "y.y"
+    "x.u" = "of_x.y"
+    "y.u" = "of_y.y"
+    "z.u" = "of_z.y"
     """
 
 RELAY = """
@@ -182,6 +151,15 @@ RELAY = """
     [connections]
     "relay.u" = "mass.y"
     "mass.u" = "relay.y"
+    """
+
+SMOOTH = """
+    [components]
+    sine = { kind = "sine", rate = 1.0 }
+    lag = { kind = "lag", time_constant = 0.5, initial = 0.0 }
+
+    [connections]
+    "lag.u" = "sine.y"
     """
 
 EXACT = """

@@ -113,7 +113,7 @@ def test_bounds_that_are_none_are_refused(logs, subtests):
         (3, "bounds: expected [lower, upper]"),
         ({2: (0.0, 1.0)}, "bounds: no theta[2]; there are 2 parameters"),
         ({0: 1.0}, "bounds of theta[0]: expected two numbers, [lower, upper]"),
-        ({0: (1.0, 0.0)}, "bounds of theta[0]: expected lower <= upper, got [1, 0]"),
+        ({0: (1.0, 0.0)}, "bounds of theta[0]: expected lower <= upper"),
     ]:
         with subtests.test(bounds=bounds), pytest.raises(UsageError, match=re.escape(text)):
             cosim.identify(logs[0], bounds=bounds)

@@ -19,7 +19,7 @@ from cosim.report.estimators import (
     verdict_lines,
 )
 from cosim.report.tables.console import new_table, print_json, print_tables
-from cosim.scenario.kinds.run_verdicts import irregular_part, verdicts_of
+from cosim.scenario.kinds.identified_plant import irregular_part, verdicts_of
 from cosim.scenario.record import IrregularPart
 from cosim.scenario.running.identifying import IdentifierRecord, LogIdentification
 from cosim.theory.assessment.consistency import NOTHING_ELSE, ResidualTest

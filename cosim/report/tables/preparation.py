@@ -20,7 +20,7 @@ from cosim.report.tables.console import (
 
 if TYPE_CHECKING:
     from cosim.scenario.assumptions.report import AssumptionReport
-    from cosim.scenario.experiment_design.designs import ExperimentDesign
+    from cosim.scenario.experiment_design.ranking import ExperimentDesign
     from cosim.scenario.recordings.swap_report import SwapReports
 
 _EQUATION: Final = re.compile(r" \(\d+\)$")  # of the paper: a part of the name in JSON alone

@@ -185,7 +185,8 @@ class ActionChecker:
         """Make what sets parameters of components, or swaps them, in the order of time."""
         changes = list(self._changes_of_components())
         builder = SettingBuilder(self._scenario, self._context, self._components)
-        for change in sorted(changes, key=lambda change: change.index):
+        # at one instant parameters are set first
+        for change in sorted(changes, key=lambda one: (one.values is None, one.index)):
             name = change.name
             if name in self._unknown:
                 continue

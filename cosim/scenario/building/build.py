@@ -5,7 +5,7 @@ from __future__ import annotations
 import unicodedata
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Final
@@ -628,32 +628,10 @@ def parse(document: Document) -> Scenario:
     return scenario
 
 
-@dataclass(frozen=True)
-class DescribedScenario:
-    """What there is of a scenario, of which nothing runs.
-
-    Parameters
-    ----------
-    scenario : Scenario
-    clock : Clock
-    components : mapping of name to Component
-        Those whose ports are known.
-    graph : Graph or None
-        None: the ports of some components are not known.
-    metadata : mapping of component name to plain values
-    """
-
-    scenario: Scenario
-    clock: Clock
-    components: Mapping[str, Component]
-    graph: Graph | None
-    metadata: Mapping[str, Mapping[str, Any]]
-
-
-def describe(document: Document) -> DescribedScenario:
+def describe(document: Document) -> Builder:
     """Read, validate and build a document without running anything of an FMU or a user's class.
 
-    What is built shows what there is, and cannot run.
+    What is built shows what there is, and cannot run. It has a graph where nothing is unknown.
 
     Raises
     ------
@@ -664,9 +642,9 @@ def describe(document: Document) -> DescribedScenario:
     with ExitStack() as resources:
         builder = Builder(scenario, resources, Origins(describes=True), problems=problems)
         builder.check()
-        graph = None if builder.unknown else builder.experiment().graph
-        metadata = builder.context.metadata
-        return DescribedScenario(scenario, builder.clock, builder.components, graph, metadata)
+        if not builder.unknown:
+            builder.experiment()
+        return builder
 
 
 _HELD_IN_LOOP: Final = (

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from cosim.arguments import mapping_argument, swap_argument
 from cosim.core.connections import ONE_SOURCE, Connection, components_driving
@@ -24,26 +23,16 @@ from cosim.scenario.document.swaps import (
     PortNames,
     RecordedInput,
     ports_in,
+    record_inputs,
     resolve_maps,
-    swapped_components,
-    with_recorded_inputs,
 )
 from cosim.scenario.kinds import KINDS, Kind
 
 if TYPE_CHECKING:
     from cosim.scenario.session import Session
 
+AnyTable = TypeVar("AnyTable", bound=BaseModel)
 STAND_INS = {"name": "unnamed", "stop": 1.0, "step": 1.0}  # for settings without a right value
-
-
-class Starter(Protocol):
-    """Starts a scenario."""
-
-    def __call__(
-        self, scenario: Scenario, out: str | Path | None, *, force: bool, numbered: bool
-    ) -> Session:
-        """Start it; parameters as of :meth:`Scenario.start`."""
-        ...
 
 
 @dataclass(frozen=True, repr=False)
@@ -88,7 +77,7 @@ class Scenario:
     invalid: frozenset[Key] = frozenset()
     actions: Mapping[int, ActionTable] = field(default_factory=dict)
     recorded_inputs: tuple[RecordedInput, ...] = ()
-    starter: Starter | None = field(default=None, repr=False, compare=False)
+    starter: Callable[..., Session] | None = field(default=None, repr=False, compare=False)
 
     def __repr__(self) -> str:
         return f"<the scenario {self.name!r}: {len(self.specs)} components>"
@@ -121,13 +110,11 @@ class Scenario:
     @property
     def unfollowed(self) -> dict[str, list[str]]:
         """Inputs that the file connects, by component, of those that follow none."""
+        outputs = [recorded.port for recorded in self.recorded_inputs]
         inputs: dict[str, list[str]] = {}
-        recorded = [recorded.port for recorded in self.recorded_inputs]
         for to in ports_in(self.file.connections):
             spec = self.specs.get(to.component)
-            if to in recorded:
-                continue
-            if spec is not None and not spec.follows_inputs:
+            if spec is not None and not spec.follows_inputs and to not in outputs:
                 inputs.setdefault(to.component, []).append(to.name)
         return inputs
 
@@ -232,27 +219,31 @@ def read(
     ScenarioError
         If the text is no TOML.
     """
-    tree, problems = document.tree()
-    file, file_problems, invalid = _validate_tables(tree)
-    valid_tree = without(tree, invalid)
-    maps, map_problems = resolve_maps(valid_tree, document.maps)
-    foreign = document.foreign_kinds
-    specs, component_problems = _validate_components(file.components, foreign)
-    written, connection_problems = _connections(file)
-    followed = _followed(specs, written)
-    replaced = _replaced(document, specs, swapped_components(tree) if document.swapped else ())
-    connections, implied, given_twice = _with_implied(replaced, followed)
-    without_inputs = [name for name, spec in specs.items() if not spec.follows_inputs]
-    maps, connections, recorded_inputs, input_problems = with_recorded_inputs(
-        without_inputs, maps, connections, written
-    )
-    map_problems += input_problems
-    connection_problems += given_twice
-    for key, _ in connection_problems:
-        invalid.add(key)
-    actions, action_problems = _validate_actions(file.actions)
-    problems += file_problems + map_problems + component_problems + connection_problems
-    problems += action_problems
+    tables = document.tables()
+    problems = list(tables.problems)
+    file, invalid = _validate_tables(tables.tree, problems)
+    tree = _without(tables.tree, invalid)
+    maps, map_problems = resolve_maps(tree, document.maps)
+    problems += map_problems
+    specs = _validate_components(file.components, document.foreign_kinds, problems)
+    written = _connections(file, problems)
+    recorded = [name for name, spec in specs.items() if not spec.follows_inputs]
+    connections = {to: written[to] for to in written if to.component not in recorded}
+    # what takes the place of another component has its inputs
+    originals = {n: tables.replaced[n] for n in specs if n in tables.replaced and n not in recorded}
+    replaced = _validate_components(originals, document.foreign_kinds, [])
+    implied = _add_implied({**specs, **replaced}, connections, problems)
+    inputs: list[RecordedInput] = []
+    for name in [name for name in recorded if name in maps]:
+        maps[name], own_inputs, input_problems = record_inputs(maps[name], connections, written)
+        inputs += own_inputs
+        problems += input_problems
+    invalid |= {key[:2] for key, _ in problems if key[:1] == ("connections",)}
+    actions: dict[int, ActionTable] = {}
+    for number, table in enumerate(file.actions):
+        action = _validated(ActionTable, table, ("actions", number), problems)
+        if action is not None:
+            actions[number] = action
     scenario = Scenario(
         document,
         file,
@@ -260,204 +251,146 @@ def read(
         connections,
         implied,
         maps,
-        valid_tree,
+        tree,
         parse,
         frozenset(invalid),
         actions,
-        recorded_inputs=tuple(recorded_inputs),
+        tuple(inputs),
     )
     return scenario, problems
 
 
-def _validate_actions(
-    tables: Sequence[Mapping[str, Any]],
-) -> tuple[dict[int, ActionTable], list[Problem]]:
-    """Return the actions that are right by themselves, by their numbers, and the problems."""
-    actions: dict[int, ActionTable] = {}
-    problems: list[Problem] = []
-    for number, table in enumerate(tables):
-        key: Key = ("actions", number)
-        try:
-            action = ActionTable.model_validate(table)
-        except ValidationError as error:
-            problems += problems_of(error, ActionTable, table, key)
-            continue
-        own = [((*key, *inner), text) for inner, text in action.problems()]
-        problems += own
-        if not own:
-            actions[number] = action
-    return actions, problems
-
-
-def _validate_tables(tree: Mapping[str, Any]) -> tuple[File, list[Problem], set[Key]]:
-    """Return the file without what is wrong in it, the problems, and the keys that are wrong."""
+def _validated(
+    model: type[AnyTable], table: Any, key: Key, problems: list[Problem]
+) -> AnyTable | None:
+    """Return a table, which stands at a key; None: it is wrong, and ``problems`` has how."""
     try:
-        return File.model_validate(tree), [], set()
+        return model.model_validate(table)
+    except TableProblems as error:
+        problems += [((*key, *inner), text) for inner, text in error.problems]
     except ValidationError as error:
-        problems = problems_of(error, File, tree, ())
-        invalid = _invalid_keys(error, tree)
-    valid = without(tree, invalid)
-    valid["scenario"] = {**STAND_INS, **valid.get("scenario", {})}
-    valid.setdefault("components", {})
-    return File.model_validate(valid), problems, invalid
+        problems += problems_of(error, model, table, key)
+    return None
 
 
-def _invalid_keys(error: ValidationError, tree: Mapping[str, Any]) -> set[Key]:
-    """Return the tables that are wrong, and the entries of the others that are."""
+def _validate_tables(tree: Mapping[str, Any], problems: list[Problem]) -> tuple[File, set[Key]]:
+    """Return the file without what is wrong in it, and the keys of that."""
+    try:
+        return File.model_validate(tree), set()
+    except ValidationError as error:
+        problems += problems_of(error, File, tree, ())
+        details = error.errors(include_url=False, include_input=False)
     invalid: set[Key] = set()
-    for details in error.errors(include_url=False, include_input=False):
-        location = details["loc"]
-        if len(location) > 1 and isinstance(tree.get(str(location[0])), dict):
-            invalid.add(location[:2])
-        elif details["type"] == "extra_forbidden":
+    for item in details:
+        table = item["loc"][0]
+        if len(item["loc"]) > 1 and isinstance(tree.get(str(table)), dict):
+            invalid.add(item["loc"][:2])
+            continue
+        invalid.add((table,))
+        if item["type"] == "extra_forbidden":
             # probably a table under another name, so that nothing is known of that one
-            meant = get_close_matches(str(location[0]), File.model_fields, n=1, cutoff=0.5)
-            invalid |= {(location[0],), *((name,) for name in meant if name not in tree)}
-        else:
-            invalid.add(location[:1])
-    return invalid
+            meant = get_close_matches(str(table), File.model_fields, n=1, cutoff=0.5)
+            invalid |= {(name,) for name in meant if name not in tree}
+    valid = {"components": {}, **_without(tree, invalid)}
+    valid["scenario"] = {**STAND_INS, **valid.get("scenario", {})}
+    return File.model_validate(valid), invalid
 
 
-def without(tree: Mapping[str, Any], invalid: Collection[Key]) -> dict[str, Any]:
+def _without(tree: Mapping[str, Any], invalid: Collection[Key]) -> dict[str, Any]:
     """Return tables without some of them, and without entries of others."""
     valid: dict[str, Any] = {}
     for name, table in tree.items():
-        if (name,) in invalid:
-            continue
-        valid[name] = table
-        if isinstance(table, dict):
-            valid[name] = {key: table[key] for key in table if (name, key) not in invalid}
+        if (name,) not in invalid:
+            valid[name] = table
+            if isinstance(table, dict):
+                valid[name] = {key: table[key] for key in table if (name, key) not in invalid}
     return valid
 
 
 def _validate_components(
-    tables: Mapping[str, Any], foreign: Collection[str]
-) -> tuple[dict[str, Kind], list[Problem]]:
-    """Return the components' tables by name, and the problems of the others.
+    tables: Mapping[str, Any], foreign: Collection[str], problems: list[Problem]
+) -> dict[str, Kind]:
+    """Return the components' tables that are right, by name.
 
-    ``foreign`` are kinds beside the shipped ones that are known to be those of packages.
+    Where a key is misspelt, the table is taken as it was probably meant: what is connected to the
+    component is then checked, too. ``foreign`` are kinds beside the shipped ones that are known to
+    be those of packages.
     """
     specs: dict[str, Kind] = {}
-    problems: list[Problem] = []
     for name, table in tables.items():
         key: Key = ("components", name)
-        try:
-            kind = _kind(table, foreign)
-            specs[name] = kind.model_validate(table)
-        except TableProblems as error:
-            problems += [((*key, *inner), text) for inner, text in error.problems]
-        except ValidationError as error:
-            problems += problems_of(error, kind, table, key)
-            with suppress(ValidationError, TableProblems):
-                # what is connected to it is then checked, too
-                specs[name] = kind.model_validate(_with_meant_keys(error, kind, table))
-    return specs, problems
+        kind = _kind(table, foreign)
+        if isinstance(kind, str):
+            problems.append(((*key, "kind") if "kind" in table else key, kind))
+            continue
+        spec = _validated(kind, table, key, problems)
+        if spec is None:
+            spec = _validated(kind, _as_meant(kind, table), key, [])
+        if spec is not None:
+            specs[name] = spec
+    return specs
 
 
-def _with_meant_keys(
-    error: ValidationError, kind: type[Kind], table: Mapping[str, Any]
-) -> Mapping[str, Any]:
+def _as_meant(kind: type[Kind], table: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return a component's table with the keys that were probably meant for unknown ones."""
+    known = [field.alias or name for name, field in kind.model_fields.items()]
     meant = dict(table)
-    for details in error.errors(include_url=False, include_input=False):
-        name, *inner = details["loc"]
-        if details["type"] == "extra_forbidden" and not inner:
-            known = [field.alias or key for key, field in kind.model_fields.items()]
-            close = get_close_matches(str(name), [key for key in known if key not in table], n=1)
-            if close:
-                meant[close[0]] = meant.pop(str(name))
+    for key in table:
+        if key not in known:
+            missing = [name for name in known if name not in meant]
+            for close in get_close_matches(key, missing, n=1):
+                meant[close] = meant.pop(key)
     return meant
 
 
-def _kind(table: Mapping[str, Any], foreign: Collection[str]) -> type[Kind]:
-    """Return the kind of a component's table.
-
-    Raises
-    ------
-    TableProblems
-        If it has none, or there is no such kind.
-    """
+def _kind(table: Mapping[str, Any], foreign: Collection[str]) -> type[Kind] | str:
+    """Return the kind of a component's table; a text: why there is none."""
     kind = table.get("kind")
     if isinstance(kind, str) and kind in KINDS:
         return KINDS[kind]
     from cosim.scenario.kinds.user_component import InstalledKind, installed_classes
 
-    if isinstance(kind, str) and kind in foreign:
+    if isinstance(kind, str) and (kind in foreign or kind in installed_classes()):
         return InstalledKind
-    installed = installed_classes()
-    if isinstance(kind, str) and kind in installed:
-        return InstalledKind
-    names = [*KINDS, *(name for name in installed if name not in KINDS)]
+    names = list(dict.fromkeys([*KINDS, *installed_classes()]))
     if "kind" not in table:
-        raise TableProblems([((), f"'kind' is missing; available: {', '.join(names)}")])
+        return f"'kind' is missing; available: {', '.join(names)}"
     if not isinstance(kind, str):
-        raise TableProblems([(("kind",), f"expected a string, got {quoted(kind)}")])
-    text = f"unknown kind {quoted(kind)}; {nearest(kind, names)}"
-    raise TableProblems([(("kind",), text)])
+        return f"expected a string, got {quoted(kind)}"
+    return f"unknown kind {quoted(kind)}; {nearest(kind, names)}"
 
 
-def _replaced(
-    document: Document, specs: Mapping[str, Kind], swapped: Iterable[str]
-) -> Mapping[str, Kind]:
-    """Return the specs with those that swaps replaced: what takes their place has their inputs."""
-    names = [name for name in swapped if name in specs]
-    names = [name for name in names if specs[name].follows_inputs]
-    if not names:
-        return specs
-    tree, _ = document.unswapped().tree()
-    tables = {name: tree["components"][name] for name in names}
-    originals, _ = _validate_components(tables, document.foreign_kinds)
-    return {**specs, **originals}
-
-
-def _followed(
-    specs: Mapping[str, Kind], connections: Mapping[Port, Connection]
-) -> dict[Port, Connection]:
-    """Return the connections without those to components that follow no inputs."""
-    followed = {}
-    for to, connection in connections.items():
-        spec = specs.get(to.component)
-        if spec is None or spec.follows_inputs:
-            followed[to] = connection
-    return followed
-
-
-def _with_implied(
-    specs: Mapping[str, Kind], connections: Mapping[Port, Connection]
-) -> tuple[dict[Port, Connection], dict[Port, Port | None], list[Problem]]:
+def _add_implied(
+    specs: Mapping[str, Kind], connections: dict[Port, Connection], problems: list[Problem]
+) -> dict[Port, Port | None]:
     """Add the connections that kinds imply for inputs that [connections] leaves open.
 
     Returns
     -------
-    connections : dict of Port to Connection
-    origins : dict of Port to Port or None
-        Of each such input, also where the one that it follows has no connection either.
-    problems : list of Problem
-        Of inputs that are connected although their component's table says what drives them.
+    dict of Port to Port or None
+        The origin of each such input, also where the one that it follows has no connection either.
     """
     given = {port.whole: port for port in connections}
-    result = dict(connections)
+    written = dict(connections)
     origins: dict[Port, Port | None] = {}
-    problems: dict[Key, str] = {}
+    twice: dict[Port, str] = {}  # what drives it is in its component's table
     for name, spec in specs.items():
-        for to, implied in spec.implied_connections(name, connections, specs).items():
+        for to, implied in spec.implied_connections(name, written, specs).items():
             if to.whole not in given:
                 origins[to] = implied.origin
                 if implied.connection is not None:
-                    result[to] = implied.connection
+                    connections[to] = implied.connection
             elif implied.origin is None:
-                key = ("connections", str(given[to.whole]))
-                problems[key] = (
-                    f"'{to.whole}' has its source from the table of {name!r}; remove this "
-                    "connection"
-                )
-    return result, origins, list(problems.items())
+                twice[given[to.whole]] = name
+    for port, name in twice.items():
+        text = f"'{port.whole}' has its source from the table of {name!r}; remove this connection"
+        problems.append((("connections", str(port)), text))
+    return origins
 
 
-def _connections(file: File) -> tuple[dict[Port, Connection], list[Problem]]:
-    """Return the connections by input, and their problems; a wrong gain leaves the sources."""
+def _connections(file: File, problems: list[Problem]) -> dict[Port, Connection]:
+    """Return the connections by input; a wrong gain leaves the sources."""
     connections: dict[Port, Connection] = {}
-    problems: list[Problem] = []
     for to, value in file.connections.items():
         try:
             port = Port.parse(to)
@@ -470,4 +403,4 @@ def _connections(file: File) -> tuple[dict[Port, Connection], list[Problem]]:
                 connections[port] = Connection(value)
         except CosimError as error:
             problems.append((("connections", to), str(error)))
-    return connections, problems
+    return connections

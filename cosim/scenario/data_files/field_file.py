@@ -1,14 +1,16 @@
-"""Field data: samples with times of their own, from tables and MCAP files.
+"""Field data: samples with times of their own, from tables and from MCAP files of other tools.
 
-The names of the columns say what these are, with their units: ``t [ms]``, ``y [mm]``, ``x_a[0]``,
-``x_a[1]``; :mod:`~cosim.scenario.data_files.tables` says where the names and further units stand.
-The times are the index that pandas wrote, where its name or
-type is that of times; else the column of a name such as ``t``, ``time`` or ``Timestamp``, else the
-one in a unit of time, else the one of time stamps; else the index or the first one, which is said.
-Times are numbers, dates (ISO 8601) or durations as pandas writes them (``0 days 00:00:00.02``). An
-empty cell and NaN say that nothing was measured; all else that is no finite number is refused, and
-so are times that do not ascend. The offset of the times is subtracted before they are rounded: a
-time stamp in ns since 1970 has more digits than a double.
+The names of the columns say what these are, with their units. The times of a table are the index
+that pandas wrote, where its name or type is that of times; else the column of a name such as ``t``,
+``time`` or ``Timestamp``, else the one in a unit of time, else the one of time stamps; else the
+index or the first one, which is said. Times are numbers, dates (ISO 8601) or durations as pandas
+writes them (``0 days 00:00:00.02``). An empty cell and NaN say that nothing was measured; all else
+that is no finite number is refused, and so are times that do not ascend. The offset of the times is
+subtracted before they are rounded: a time stamp in ns since 1970 has more digits than a double.
+
+The times of messages are whole ns, and stay so until the one that is t = 0 is subtracted. With
+``offset = "first"`` that is the first instant by which every field that is taken has a sample: at
+t = 0 all is measured, and of several components from one file all have the same t = 0.
 
 A message tells where a file is wrong, and of what stands there only the times.
 """
@@ -17,31 +19,44 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from decimal import Decimal
 from itertools import chain, groupby, pairwise
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from cosim.arrays import Vector
+from cosim.arrays import NAN, Matrix, Vector
 from cosim.blocks.field_data import FieldData, FieldSignal, elements_named
-from cosim.errors import UsageError, warn
+from cosim.errors import UsageError, option, warn
 from cosim.files import expanded
-from cosim.scenario.data_files.headers import Header, find_headers, second_of, unit_of
-from cosim.scenario.data_files.recorded_fields import (
-    MCAP,
-    check_asked,
-    offset_text,
-    read_samples,
-    recorded_data,
-    without_codes,
+from cosim.instants import NANOSECONDS
+from cosim.scenario.data_files.table import (
+    DataTable,
+    FieldForm,
+    Header,
+    SameTime,
+    TableForm,
+    TimeOffset,
+    find_headers,
+    is_number,
+    second_of,
+    seconds_in,
+    unit_of,
 )
-from cosim.scenario.data_files.table import DataTable, FieldForm, SameTime, TableForm, TimeOffset
 from cosim.scenario.data_files.tables import read_table
 
-SPREAD: Final = "spread"
+if TYPE_CHECKING:
+    from cosim.log.foreign.samples import FieldSamples
+    from cosim.log.foreign.spacing import Instants, Spacing
+
+MCAP: Final = ".mcap"
+MOST_VALUES: Final = 2**26  # of all signals at all times
+_MOST_NS: Final = 2**63
+_LONG_GAP: Final = 2  # median distances that are worth a word
+
+SamplesByField: TypeAlias = "Mapping[str, FieldSamples]"
 
 
 def read_field_data(
@@ -141,28 +156,27 @@ def field_data(
         return recorded_data(path, fields, samples, form)
     table = read_table(path, form.table)
     named = [header for header in table.headers if header.text]
-    clock, reason, notes = _clock(table, named, form)
-    table.tell("times", repr(clock.name) if clock.name else "index", reason, "time", form.time)
+    clock, notes = _clock(table, named, form)
     chosen = _signals(table.label, named, clock, form.columns)
-    stamps = _Stamps(table, clock, form)
+    times = _times(table, clock, form)
     signals = []
     for name, parts in chosen.items():
         try:
-            columns_of = [table.values(part.position) for part in parts]
+            columns = [table.values(part.position) for part in parts]
         except UsageError as error:
             if unread is None:
                 raise
             unread[name] = str(error).removeprefix(f"{table.label}, ")
             continue
-        stacked = without_codes(np.stack(columns_of, axis=1)[stamps.rows], form.table.missing)
+        values = without_codes(np.stack(columns, axis=1)[times.rows], form.table.missing)
         unit = unit_of(table.label, name, parts)
-        signals.append(FieldSignal(name, unit, stacked, tuple(part.text for part in parts)))
+        signals.append(FieldSignal(name, unit, values, tuple(part.text for part in parts)))
     return FieldData(
         table.label,
-        stamps.t,
+        times.t,
         tuple(signals),
-        (*notes, *stamps.notes),
-        restart=stamps.restart,
+        (*notes, *times.notes),
+        restart=times.restart,
         reading=tuple(table.reading),
     )
 
@@ -183,66 +197,86 @@ def listed_columns(columns: Mapping[str, str | Sequence[str]]) -> dict[str, list
     return listed
 
 
-# --- what the columns are ---
+def without_codes(values: Matrix, missing: Sequence[float | str]) -> Matrix:
+    """Return values with NaN in the place of numbers that stand for no measured value.
+
+    Texts that are numbers are meant as such, and a column of float32 has a code as float32.
+    """
+    codes = [float(code) for code in missing if not isinstance(code, str) or is_number(code)]
+    if not codes:
+        return values
+    with np.errstate(over="ignore"):
+        rounded = np.array(codes).astype(np.float32).astype(np.float64)
+    return np.where(np.isin(values, [*codes, *rounded]), NAN, values)
+
+
+def offset_text(stamp: Decimal) -> str:
+    """Return an offset that is a time stamp or, if that has too many digits, hardly later."""
+    if stamp == stamp.to_integral_value():
+        return str(int(stamp))
+    number = float(stamp)
+    return repr(number if Decimal(repr(number)) >= stamp else math.nextafter(number, math.inf))
+
+
+# --- what the columns of a table are ---
 
 
 def _clock(
     table: DataTable, named: Sequence[Header], form: FieldForm
-) -> tuple[Header, str, tuple[str, ...]]:
-    """Return the column of the times, why it is that, and what is to be known of it.
+) -> tuple[Header, tuple[str, ...]]:
+    """Return the column of the times, and what is to be known of it.
 
     Raises
     ------
     UsageError
         If several may be it.
     """
+    unnamed = [one for one in table.headers if not one.text and one.position in table.index]
+    reason = ""
+    notes: tuple[str, ...] = ()
     if form.time is not None:
         (clock,) = find_headers(table.label, named, [form.time])
-        return clock, "", ()
-    unnamed = [
-        header for header in table.headers if not header.text and header.position in table.index
-    ]
-    candidates = _candidates(table, named, unnamed)
-    if len(candidates) > 1:
-        names = ", ".join(repr(header.name) for header in candidates)
-        way_out = "select one by time"
-        if any(header.has_dates for header in candidates):
-            way_out = (
-                "write date and time of day into one, such as 2024-03-01T12:00:00, or select one "
-                "by time and the signals by columns"
-            )
-        raise UsageError(f"{table.label}: expected one column of times, got {names}; {way_out}")
-    if candidates:
+    elif candidates := _candidates(table, [*unnamed, *named]):
         clock = candidates[0]
+        if len(candidates) > 1:
+            names = ", ".join(repr(header.name) for header in candidates)
+            way_out = "select one by time"
+            if any(header.has_dates for header in candidates):
+                way_out = (
+                    "write date and time of day into one, such as 2024-03-01T12:00:00, or select "
+                    "one by time and the signals by columns"
+                )
+            raise UsageError(f"{table.label}: expected one column of times, got {names}; {way_out}")
         is_named = clock.times is not None or clock.time_unit is not None
-        return clock, "says so by its name or unit" if is_named else "has dates or durations", ()
-    index = [header for header in named if header.position in table.index]
-    clock = [*unnamed, *index, *named][0]
-    where = "the index that pandas wrote" if clock.position in table.index else "the first column"
-    name = f", {clock.name!r}" if clock.name else ""
-    unit = form.time_unit or "s"
-    note = (
-        f"{table.label}: the times are those of {where}{name}, in {unit}, as no column says that "
-        "it has times, by a name such as t or time, a unit of time or dates; time selects another"
-    )
-    return clock, "no column says that it has times", (note,)
+        reason = "says so by its name or unit" if is_named else "has dates or durations"
+    else:
+        index = [header for header in named if header.position in table.index]
+        clock = [*unnamed, *index, *named][0]
+        is_index = clock.position in table.index
+        where = "the index that pandas wrote" if is_index else "the first column"
+        name = f", {clock.name!r}" if clock.name else ""
+        reason = "no column says that it has times"
+        note = (
+            f"{table.label}: the times are those of {where}{name}, in {form.time_unit or 's'}, as "
+            "no column says that it has times, by a name such as t or time, a unit of time or "
+            "dates; time selects another"
+        )
+        notes = (note,)
+    table.tell("times", repr(clock.name) if clock.name else "index", reason, "time", form.time)
+    return clock, notes
 
 
-def _candidates(
-    table: DataTable, named: Sequence[Header], unnamed: Sequence[Header]
-) -> list[Header]:
+def _candidates(table: DataTable, headers: Sequence[Header]) -> list[Header]:
     """Return the columns that say of themselves that they have times, in the first way."""
-    everything = [*unnamed, *named]
-    stamps = [header for header in everything if header.position in table.stamps]
-    timed = [header for header in named if header.time_unit is not None]
+    stamps = [header for header in headers if header.position in table.stamp_units]
+    timed = [header for header in headers if header.time_unit is not None]
     called = []
-    for header in named:
+    for header in headers:
         is_number = header.has_dates and header.position in table.numbers
         if header.times is not None and not is_number:
             called.append(header)
-    of_times = {header.position for header in (*called, *timed, *stamps)} & table.index
-    index = [header for header in everything if header.position in of_times]
-    return index or called or timed or stamps
+    index = [one for one in (*called, *timed, *stamps) if one.position in table.index]
+    return list(dict.fromkeys(index)) or called or timed or stamps
 
 
 def _signals(
@@ -252,106 +286,102 @@ def _signals(
     columns: Mapping[str, str | Sequence[str]] | None,
 ) -> dict[str, list[Header]]:
     """Return the columns of every signal."""
-    if columns is None:
-        others = [header for header in named if header != clock]
-        own = {header.name: header for header in others}
-        for name, count in Counter(header.name for header in others).most_common(1):
-            if count > 1:
-                raise UsageError(f"{label}: expected a unique column {name!r}, got {count}")
-        groups = elements_named(list(own)).items()
-        return {name: [own[part] for part in parts] for name, parts in groups}
-    if not columns:
-        raise UsageError("columns: expected a column for each signal, got {}")
-    listed = listed_columns(columns).items()
-    return {name: find_headers(label, named, parts) for name, parts in listed}
+    if columns is not None:
+        if not columns:
+            raise UsageError("columns: expected a column for each signal, got {}")
+        listed = listed_columns(columns).items()
+        return {name: find_headers(label, named, parts) for name, parts in listed}
+    others = [header for header in named if header != clock]
+    own = {header.name: header for header in others}
+    for name, count in Counter(header.name for header in others).most_common(1):
+        if count > 1:
+            raise UsageError(f"{label}: expected a unique column {name!r}, got {count}")
+    groups = elements_named(list(own)).items()
+    return {name: [own[part] for part in parts] for name, parts in groups}
 
 
-# --- times ---
+# --- times of a table ---
 
 
-class _Stamps:
-    """The times of the rows that count.
+class _Times(NamedTuple):
+    """Ascending times [s] and their rows, where the largest gap begins, and what is to be known."""
 
-    ``t`` [s] ascends, ``rows`` are those rows, ``restart`` where the largest gap begins [s] and the
-    offset by which t = 0 is behind it.
+    t: Vector
+    rows: Sequence[int]
+    restart: tuple[float, str] | None
+    notes: tuple[str, ...]
+
+
+def _times(table: DataTable, clock: Header, form: FieldForm) -> _Times:
+    """Return the times of the rows that count.
+
+    Raises
+    ------
+    UsageError
+        If there are none, they do not ascend, or have no unit of time.
     """
-
-    def __init__(self, table: DataTable, clock: Header, form: FieldForm) -> None:
-        offset = form.offset
-        same_time = form.same_time or table.same_time
-        stamps = table.times(clock.position)
-        second = _second(table, clock, form.time_unit)
-        if not stamps:
-            raise UsageError(f"{table.label}: expected rows of numbers, got none")
-        infinite = next((row for row, stamp in enumerate(stamps) if not stamp.is_finite()), None)
-        if infinite is not None:
-            raise UsageError(
-                f"{table.label}, {table.place(infinite)}: expected a finite time, got "
-                f"{float(stamps[infinite])!r} s"
-            )
-        self.notes: tuple[str, ...] = ()
-        repeated = sum(after == before for before, after in pairwise(stamps))
-        self.rows = np.arange(len(stamps))
-        if repeated and same_time == SPREAD:
-            stamps = _spread(table.label, stamps)
-        elif repeated and same_time is not None:
-            is_last = [after != before for before, after in pairwise(stamps)]
-            self.rows = np.flatnonzero([*is_last, True])
-            stamps = [stamps[row] for row in self.rows]
-            self.notes = (
-                f"{table.label}: {repeated} of {len(stamps) + repeated} rows dropped: a later one "
-                "has the same time",
-            )
-        zero = stamps[0] if offset == "first" else Decimal(repr(offset or 0))
-        seconds = [float((stamp - zero) * second) for stamp in stamps]
-        self.t: Vector = np.array(seconds)
-        self._check_increasing(table, seconds)
-        self.restart: tuple[float, str] | None = None
-        if len(stamps) > 1:
-            gap = int(np.argmax(np.diff(self.t)))
-            self.restart = (seconds[gap], offset_text(stamps[gap + 1]))
-        own = table.stamp_unit(clock.position) or clock.time_unit
-        reason = "the default"
-        if own is not None:
-            reason = "of dates or durations" if clock.position in table.stamps else "of the column"
-        unit = form.time_unit
-        table.tell("time unit", unit or own or "s", reason, "time_unit", unit)
-        origin = "the first time stamp" if offset == "first" else str(offset or 0)
-        table.tell("t = 0", origin, 'the default, or "first"', "offset", offset)
-        if repeated:
-            found = f"{repeated} rows have the time of the one before"
-            table.tell("same time", found, str(same_time), "same_time")
-
-    def _check_increasing(self, table: DataTable, seconds: Sequence[float]) -> None:
-        for number, t in enumerate(seconds):
-            is_after = number == 0 or t > seconds[number - 1]
-            if is_after and math.isfinite(t):
-                continue
-            place = table.place(int(self.rows[number]))
-            if not math.isfinite(t):
-                raise UsageError(f"{table.label}, {place}: expected a finite time, got {t!r} s")
-            way_out = "select another column by time"
-            if t == seconds[number - 1]:
-                way_out += (
-                    ', or samples of one time stamp by same_time: "spread" spreads them evenly up '
-                    'to the next one, "last" takes the last'
-                )
-            raise UsageError(
-                f"{table.label}, {place}: expected increasing times, got {t!r} s after "
-                f"{seconds[number - 1]!r} s in {table.place(int(self.rows[number - 1]))}; {way_out}"
-            )
-
-
-def _second(table: DataTable, clock: Header, unit: str | None) -> Decimal:
-    """Return the unit of the times in s."""
-    own = table.stamp_unit(clock.position)
-    if own is not None and unit is not None:
+    stamps = table.times(clock.position)
+    own = table.stamp_units.get(clock.position)
+    if own is not None and form.time_unit is not None:
         raise UsageError(
-            f"{table.label}: column {clock.name!r}: expected numbers, as time_unit is {unit!r}, "
-            "got dates or durations, which have their unit; leave out time_unit"
+            f"{table.label}: column {clock.name!r}: expected numbers, as time_unit is "
+            f"{form.time_unit!r}, got dates or durations, which have their unit; leave out "
+            "time_unit"
         )
     way_out = "select another column by time, another unit by time_unit"
-    return second_of(table.label, clock, own or unit, way_out)
+    second = second_of(table.label, clock, own or form.time_unit, way_out)
+    if not stamps:
+        raise UsageError(f"{table.label}: expected rows of numbers, got none")
+    same_time = form.same_time or table.same_time
+    is_last = [after != before for before, after in pairwise(stamps)]
+    repeated = is_last.count(False)
+    rows: Sequence[int] = range(len(stamps))
+    notes: tuple[str, ...] = ()
+    if repeated and same_time == "spread":
+        stamps = _spread(table.label, stamps)
+    elif repeated and same_time == "last":
+        dropped = f"{repeated} of {len(stamps)} rows dropped: a later one has the same time"
+        notes = (f"{table.label}: {dropped}",)
+        rows = np.flatnonzero([*is_last, True]).tolist()
+        stamps = [stamps[row] for row in rows]
+    zero = stamps[0] if form.offset == "first" else Decimal(repr(form.offset or 0))
+    seconds = [float((stamp - zero) * second) for stamp in stamps]
+    _check_increasing(table, seconds, rows)
+    t = np.array(seconds)
+    restart = None
+    if len(stamps) > 1:
+        gap = int(np.argmax(np.diff(t)))
+        restart = (seconds[gap], offset_text(stamps[gap + 1]))
+    unit = own or clock.time_unit
+    reason = "the default" if unit is None else "of dates or durations" if own else "of the column"
+    table.tell("time unit", form.time_unit or unit or "s", reason, "time_unit", form.time_unit)
+    origin = "the first time stamp" if form.offset == "first" else str(form.offset or 0)
+    table.tell("t = 0", origin, 'the default, or "first"', "offset", form.offset)
+    if repeated:
+        found = f"{repeated} rows have the time of the one before"
+        table.tell("same time", found, str(same_time), "same_time")
+    return _Times(t, rows, restart, notes)
+
+
+def _check_increasing(table: DataTable, seconds: Sequence[float], rows: Sequence[int]) -> None:
+    before = -math.inf
+    for number, t in enumerate(seconds):
+        if before < t < math.inf:
+            before = t
+            continue
+        place = f"{table.label}, {table.place(rows[number])}"
+        if not math.isfinite(t):
+            raise UsageError(f"{place}: expected a finite time, got {t!r} s")
+        way_out = "select another column by time"
+        if t == before:
+            way_out += (
+                ', or samples of one time stamp by same_time: "spread" spreads them evenly up '
+                'to the next one, "last" takes the last'
+            )
+        raise UsageError(
+            f"{place}: expected increasing times, got {t!r} s after {before!r} s in "
+            f"{table.place(rows[number - 1])}; {way_out}"
+        )
 
 
 def _spread(label: str, stamps: Sequence[Decimal]) -> list[Decimal]:
@@ -363,20 +393,163 @@ def _spread(label: str, stamps: Sequence[Decimal]) -> list[Decimal]:
     groups = [(stamp, len(list(group))) for stamp, group in groupby(stamps)]
     if len(groups) < 2:
         raise UsageError(f"{label}: expected at least two different time stamps, got one")
-    distances = []
-    for (stamp, count), (after, _) in pairwise(groups):
-        distances.append((after - stamp) / count)
-    first_count = groups[0][1]
-    begin, end = groups[0][0], groups[1][0]
-    if len(groups) > 2 and first_count < groups[1][1]:
+    starts = [stamp for stamp, _ in groups]
+    counts = [count for _, count in groups]
+    gaps = [after - before for before, after in pairwise(starts)]
+    distances = [gap / count for gap, count in zip(gaps, counts, strict=False)]
+    last = distances[-1]
+    if counts[-1] > counts[-2]:
+        last = last * counts[-2] / counts[-1]
+    distances.append(last)
+    if len(groups) > 2 and counts[0] < counts[1]:
         distances[0] = min(distances[0], distances[1])
-        begin = end - first_count * distances[0]
-    last_distance = distances[-1]
-    if groups[-1][1] > groups[-2][1]:
-        last_distance = last_distance * groups[-2][1] / groups[-1][1]
-    distances.append(last_distance)
-    starts = [begin, *(stamp for stamp, _ in groups[1:])]
+        starts[0] = starts[1] - counts[0] * distances[0]
     spread: list[Decimal] = []
-    for start, distance, (_, count) in zip(starts, distances, groups, strict=True):
+    for start, distance, count in zip(starts, distances, counts, strict=True):
         spread += [start + number * distance for number in range(count)]
     return spread
+
+
+# --- fields of messages ---
+
+
+def check_asked(path: Path, columns: Mapping[str, Sequence[str]], same_time: str | None) -> None:
+    """Check that some field of a file is asked for, and of messages of one time the last.
+
+    Raises
+    ------
+    UsageError
+        If that is not so.
+    """
+    if same_time not in (None, "last"):
+        raise UsageError(
+            f'file {str(path)!r}: same_time: expected "last" of messages, got {same_time!r}'
+        )
+    if not columns:
+        map_option = option("map", "PORT", "/topic.field")
+        raise UsageError(
+            f"file {str(path)!r}: expected a map, {map_option}, or columns = "
+            "{ y = \"/topic.field\" }, got neither; 'cosim info' lists the fields"
+        )
+
+
+def read_samples(path: Path, fields: Iterable[str], form: FieldForm) -> SamplesByField:
+    """Read fields of the messages in an MCAP file, in one pass.
+
+    Raises
+    ------
+    UsageError
+        If the file or a field cannot be read, or the unit is none of time.
+    """
+    from cosim.log.foreign.samples import LOG_TIME, read_fields  # rarely needed
+
+    unit = _unit_ns(f"file {str(path)!r}", form.time_unit)
+    names = list(dict.fromkeys(fields))
+    found = read_fields(path, names, time=form.time or LOG_TIME, time_unit_ns=unit)
+    return dict(zip(names, found, strict=True))
+
+
+def recorded_data(
+    path: Path, columns: Mapping[str, Sequence[str]], samples: SamplesByField, form: FieldForm
+) -> FieldData:
+    """Return fields of messages as signals.
+
+    Parameters
+    ----------
+    path : Path
+    columns : mapping of signal to fields
+        Which are its elements, one behind the other.
+    samples : mapping of field to FieldSamples
+        At least of these; with ``"first"`` all of them have a sample at t = 0.
+    form : FieldForm
+        Its offset is in its unit of time; None: "first".
+
+    Raises
+    ------
+    UsageError
+        If the times are too far from the offset, or there are too many of them.
+    """
+    label = f"file {str(path)!r}"
+    unit_ns = _unit_ns(label, form.time_unit)
+    if form.offset is None or form.offset == "first":
+        zero_ns = max(_first_measured(found) for found in samples.values())
+    else:
+        zero_ns = round(Decimal(repr(form.offset)) * unit_ns)
+    used = [samples[name] for name in chain.from_iterable(columns.values())]
+    time_ns = np.unique(np.concatenate([found.time_ns for found in used]))
+    first, last = [int(time_ns[place]) - zero_ns for place in (0, -1)]
+    if max(map(abs, (first, last, zero_ns))) >= _MOST_NS:
+        raise UsageError(
+            f"{label}: expected times within 2**63 ns of the offset, got {first} ns to {last} ns; "
+            'use offset = "first"'
+        )
+    width = sum(found.values.shape[1] for found in used)
+    if len(time_ns) * width > MOST_VALUES:
+        raise UsageError(
+            f"{label}: expected at most {MOST_VALUES} numbers, got {width} at {len(time_ns)} "
+            "times; use fewer fields or a shorter file"
+        )
+    t = (time_ns - zero_ns) / 1e9
+    signals = []
+    discrete = []
+    for name, fields in columns.items():
+        found = [samples[field] for field in fields]
+        values = np.hstack([_at_times(one, time_ns) for one in found])
+        values = without_codes(values, form.table.missing)
+        signals.append(FieldSignal(name, None, values, tuple(fields)))
+        if any(one.is_discrete for one in found):
+            discrete.append(name)
+    spacings = {found.topic: found.spacing for found in used}
+    notes = [_note(label, topic, spacing, zero_ns) for topic, spacing in spacings.items()]
+    gap = int(np.argmax(np.diff(time_ns))) if len(time_ns) > 1 else 0
+    after_gap = Decimal(int(time_ns[min(gap + 1, len(time_ns) - 1)]))
+    end_ns = max(found.end_ns for found in samples.values())
+    return FieldData(
+        label,
+        t,
+        tuple(signals),
+        tuple(filter(None, notes)),
+        zero_ns,
+        tuple(discrete),
+        end=(end_ns - zero_ns) / NANOSECONDS,
+        restart=(float(t[gap]), offset_text(after_gap / unit_ns)),
+    )
+
+
+def _unit_ns(label: str, name: str | None) -> int:
+    """Return a unit of time in ns."""
+    seconds = seconds_in(name or "s")
+    unit = Decimal(repr(seconds or 0.0)) * NANOSECONDS
+    if unit < 1 or unit != unit.to_integral_value():
+        raise UsageError(
+            f"{label}: time_unit: expected a unit of time of whole ns, such as ms, got {name!r}"
+        )
+    return int(unit)
+
+
+def _first_measured(found: FieldSamples) -> int:
+    """Return the first time at which every element of a field has had a value."""
+    is_measured = np.isfinite(found.values)
+    if not is_measured.any(axis=0).all():
+        return int(found.time_ns[0])  # who needs that element says that it is never measured
+    return int(found.time_ns[is_measured.argmax(axis=0).max()])
+
+
+def _at_times(found: FieldSamples, time_ns: Instants) -> Matrix:
+    """Return the values of a field at all times, NaN where it has none."""
+    values = np.full((len(time_ns), found.values.shape[1]), NAN)
+    values[np.searchsorted(time_ns, found.time_ns)] = found.values
+    return values
+
+
+def _note(label: str, topic: str, spacing: Spacing, zero_ns: int) -> str:
+    """Return what is to be known of the messages of a topic; empty: nothing."""
+    texts = [spacing.disorder_text()]
+    if spacing.largest_ns > _LONG_GAP * spacing.median_ns:
+        begin = (spacing.largest_at_ns - zero_ns) / 1e9
+        texts.append(
+            f"the largest gap is {spacing.largest_ns / 1e9:g} s, from t = {begin:g} s on, the "
+            f"median distance {spacing.median_ns / 1e9:g} s"
+        )
+    text = "; ".join(filter(None, texts))
+    return f"{label}, topic {topic!r}: {text}" if text else ""

@@ -1,4 +1,4 @@
-"""The matrices in a MAT-file of version 4, or 5 to 7, as MATLAB writes it with ``save -v7``.
+"""MAT-files of version 4, or 5 to 7 as MATLAB writes them with ``save -v7``: matrices, and tables.
 
 ::
 
@@ -6,109 +6,95 @@
     element  = type, length (8 bytes, or both in the first 4 and up to 4 of data), data
     matrix   = elements: flags, dimensions, name, real part, imaginary part;
                of a sparse one: flags, dimensions, name, rows, column starts, real part, ...
-               of structs: flags, dimensions, name, length of names, names, matrices
 
 Everything is checked against the bytes that are there: a damaged file is an error, no crash, which
-it is in one of 100 cases with ``scipy.io.loadmat``; that of version 4 is in Python, and is used.
+it is in three of 100 cases with ``scipy.io.loadmat``. That of version 4 is in Python, and is used.
 
 MATLAB, MAT-File Format (R2019b), chapter 1.
 """
 
 from __future__ import annotations
 
+import hashlib
 import math
+import re
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from io import BytesIO
+from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Matrix, frozen
-from cosim.errors import UsageError
+from cosim.arrays import Matrix, Vector, frozen
+from cosim.errors import UsageError, listing
 from cosim.filters import collected_warnings
+from cosim.scenario.data_files.table import LARGEST, DataTable, Header, content_of
 
 Numbers: TypeAlias = NDArray[Any]  # of the type that the file has
 
-HEADER: Final = 128  # bytes
-LARGEST: Final = 2**28  # bytes of a matrix
-MATRIX: Final = 14  # types of elements
-COMPRESSED: Final = 15
-NUMBERS: Final = {
-    1: "i1",
-    2: "u1",
-    3: "i2",
-    4: "u2",
-    5: "i4",
-    6: "u4",
-    7: "f4",
-    9: "f8",
-    12: "i8",
-    13: "u8",
-}
-SPARSE: Final = 5  # classes of matrices
-NUMERIC: Final = range(6, 16)
-STRUCT: Final = 2
-TEXT: Final = 4
-CLASSES: Final = {1: "a cell array", STRUCT: "a struct", 3: "an object", TEXT: "text"}
-ENCODINGS: Final = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16"}
-DEEPEST: Final = 2  # structs within each other that are read
-IS_COMPLEX: Final = 0x08
+_HEADER: Final = 128  # bytes
+_MATRIX: Final = 14  # types of elements
+_COMPRESSED: Final = 15
+_INTEGERS: Final = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 12: "i8", 13: "u8"}
+_NUMBERS: Final = {**_INTEGERS, 7: "f4", 9: "f8"}
+_SPARSE: Final = 5  # classes of matrices
+_NUMERIC: Final = range(6, 16)
+_OTHERS: Final = {1: "a cell array", 2: "a struct", 4: "text"}
+_IS_COMPLEX: Final = 0x08
 _HDF5: Final = b"\x89HDF\r\n\x1a\n"
 _HDF5_AT: Final = 512  # bytes that MATLAB writes before it
 _CURE: Final = "save it with: save -v7"
+_UNIT: Final = re.compile(r".*\[(?P<unit>[^\[\]|]+)(?:\|[^\[\]]*)?\]\s*", re.DOTALL)
 
 
 @dataclass(frozen=True)
 class OtherVariable:
-    """A variable that is no matrix of real numbers: what it is.
+    """A variable that is no matrix of real numbers: what it is, and the rows of a text.
 
-    ``rows`` are those of a text, ``structs`` the structs of an array, as far as they are read.
+    The rows are those of version 4, in which simulations are written.
     """
 
     what: str
     rows: tuple[str, ...] = ()
-    structs: tuple[Mapping[str, Any], ...] = ()
 
 
-def variables_of(label: str, content: bytes) -> dict[str, Matrix | OtherVariable]:
-    """Return the variables of a file that ``label`` names; see :func:`read_variables`."""
-    if _HDF5 in (content[: len(_HDF5)], content[_HDF5_AT : _HDF5_AT + len(_HDF5)]):
-        raise UsageError(f"{label}: expected a MAT-file of version 4 to 7, got 7.3 (HDF5); {_CURE}")
-    try:
-        return read_variables(content)
-    except UsageError as error:
-        raise UsageError(f"{label}: not a valid MAT-file: {error}; {_CURE}") from error
+MatVariable: TypeAlias = Matrix | OtherVariable
 
 
-def read_variables(content: bytes) -> dict[str, Matrix | OtherVariable]:
-    """Return the variables of a MAT-file by name.
+def read_variables(label: str, content: bytes) -> dict[str, MatVariable]:
+    """Return the variables of a MAT-file, which ``label`` names, by name.
 
     Raises
     ------
     UsageError
         If it is none of version 4 to 7, or damaged.
     """
-    order = {b"IM": "<", b"MI": ">"}.get(content[126:HEADER])
-    if order is None:
-        return _read_version_4(content)
-    variables: dict[str, Matrix | OtherVariable] = {}
+    if _HDF5 in (content[: len(_HDF5)], content[_HDF5_AT : _HDF5_AT + len(_HDF5)]):
+        raise UsageError(f"{label}: expected a MAT-file of version 4 to 7, got 7.3 (HDF5); {_CURE}")
     try:
-        for kind, data in _elements(content[HEADER:], order):
-            if kind == COMPRESSED:
-                kind, data = next(_elements(_decompressed(data), order))
-            if kind == MATRIX:
-                name, value = _variable(data, order)
+        if content[126:_HEADER] != b"IM":  # which is MI where bytes are in the other order
+            return _read_version_4(content)
+        variables = {}
+        elements = _Elements(content[_HEADER:])
+        while elements:
+            kind, data = elements.next()
+            if kind == _COMPRESSED:
+                kind, data = _Elements(_decompressed(data)).next()
+            if kind == _MATRIX:
+                name, value = _variable(_Elements(data))
                 variables[name] = value
-    except (ValueError, IndexError, StopIteration, struct.error, zlib.error) as error:
-        raise UsageError(f"damaged: {error or 'truncated'}") from error
-    return variables
+        return variables
+    except (ValueError, IndexError, struct.error, zlib.error) as error:
+        problem = f"damaged: {error or 'truncated'}"
+        raise UsageError(f"{label}: not a valid MAT-file: {problem}; {_CURE}") from error
 
 
-def _read_version_4(content: bytes) -> dict[str, Matrix | OtherVariable]:
+def _read_version_4(content: bytes) -> dict[str, MatVariable]:
     """Return the variables as scipy reads them."""
     from scipy.io import loadmat  # rarely needed
 
@@ -116,10 +102,10 @@ def _read_version_4(content: bytes) -> dict[str, Matrix | OtherVariable]:
         with collected_warnings("") as warned:
             found = loadmat(BytesIO(content), chars_as_strings=False)
     except Exception as error:  # scipy raises whatever a damaged byte leads to
-        raise UsageError(f"expected a MAT-file of version 4 to 7: {error}") from error
+        raise ValueError(f"expected a MAT-file of version 4 to 7: {error}") from error
     if warned:  # of byte orders that are read wrongly
-        raise UsageError(f"expected a MAT-file of version 4 to 7: {warned[0]}")
-    variables: dict[str, Matrix | OtherVariable] = {}
+        raise ValueError(f"expected a MAT-file of version 4 to 7: {warned[0]}")
+    variables: dict[str, MatVariable] = {}
     for name, value in found.items():
         if name.startswith("__"):
             continue
@@ -133,29 +119,6 @@ def _read_version_4(content: bytes) -> dict[str, Matrix | OtherVariable]:
     return variables
 
 
-def _elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]:
-    """Yield type and data of the elements one behind the other."""
-    position = 0
-    while position < len(content):
-        if position + 8 > len(content):
-            raise ValueError("truncated within an element")
-        kind, length = struct.unpack_from(f"{order}II", content, position)
-        small = kind >> 16
-        if small:
-            kind &= 0xFFFF
-            begin = position + 4
-            length = small
-            position += 8
-        else:
-            begin = position + 8
-            position = begin + length
-            if kind != COMPRESSED:
-                position += -length % 8  # data end at a multiple of 8 bytes
-        if begin + length > len(content):
-            raise ValueError(f"an element of {length} bytes exceeds the file")
-        yield kind, content[begin : begin + length]
-
-
 def _decompressed(data: bytes) -> bytes:
     stream = zlib.decompressobj()
     content = stream.decompress(data, LARGEST)
@@ -164,98 +127,216 @@ def _decompressed(data: bytes) -> bytes:
     return content
 
 
-def _variable(data: bytes, order: str, depth: int = 0) -> tuple[str, Matrix | OtherVariable]:
+class _Elements:
+    """Elements one behind the other; true as long as there is a next one."""
+
+    def __init__(self, content: bytes) -> None:
+        self._content = content
+        self._position = 0
+
+    def __bool__(self) -> bool:
+        return self._position < len(self._content)
+
+    def next(self) -> tuple[int, bytes]:
+        """Return type and data."""
+        if self._position + 8 > len(self._content):
+            raise ValueError("truncated within an element")
+        kind, length = struct.unpack_from("<II", self._content, self._position)
+        begin = self._position + 8
+        if kind >> 16:
+            begin -= 4
+            length = kind >> 16
+            kind &= 0xFFFF
+        end = begin + length
+        if end > len(self._content):
+            raise ValueError(f"an element of {length} bytes exceeds the file")
+        # data end at a multiple of 8 bytes
+        self._position = end if kind == _COMPRESSED else end + -(end - self._position) % 8
+        return kind, self._content[begin:end]
+
+    def numbers(self) -> Numbers:
+        """Return an element of numbers."""
+        kind, data = self.next()
+        if kind not in _NUMBERS:
+            raise ValueError(f"expected numbers, got an element of type {kind}")
+        return np.frombuffer(data, f"<{_NUMBERS[kind]}")
+
+
+def _variable(elements: _Elements) -> tuple[str, MatVariable]:
     """Return name and value of a matrix element."""
-    elements = _elements(data, order)
-    flags = _numbers(next(elements), order)
-    dimensions = _numbers(next(elements), order).tolist()
-    _, name = next(elements)
-    array_class = int(flags[0]) & 0xFF
-    is_complex = bool(int(flags[0]) >> 8 & IS_COMPLEX)
-    label = name.decode("ascii")
-    if array_class == TEXT:
-        return label, OtherVariable(CLASSES[TEXT], _text_rows(elements, order, dimensions))
-    if array_class == STRUCT and depth < DEEPEST:
-        structs = _structs(elements, order, dimensions, depth)
-        return label, OtherVariable(CLASSES[STRUCT], structs=structs)
-    return label, _value(elements, order, array_class, dimensions, is_complex)
-
-
-def _text_rows(
-    elements: Iterator[tuple[int, bytes]], order: str, dimensions: list[int]
-) -> tuple[str, ...]:
-    """Return the rows of a matrix of characters, which stands column by column."""
-    kind, data = next(elements, (1, b""))
-    encoding = ENCODINGS.get(kind, "utf-8")
-    if encoding == "utf-16":
-        encoding += "-le" if order == "<" else "-be"
-    text = data.decode(encoding)
-    rows = dimensions[0] if len(dimensions) == 2 else 0
-    if min(dimensions, default=0) <= 0 or rows * dimensions[1] != len(text):
-        return ()
-    return tuple(text[row::rows] for row in range(rows))
-
-
-def _structs(
-    elements: Iterator[tuple[int, bytes]], order: str, dimensions: list[int], depth: int
-) -> tuple[Mapping[str, Any], ...]:
-    """Return the structs of an array, one behind the other."""
-    (length,) = _numbers(next(elements), order).tolist()
-    _, names = next(elements)
-    if length < 1:
-        raise ValueError("a struct without names of fields")
-    keys = []
-    for begin in range(0, len(names), length):
-        keys.append(names[begin : begin + length].split(b"\0")[0].decode("ascii"))
-    structs: list[Mapping[str, Any]] = []
-    while keys and len(structs) < math.prod(dimensions):
-        values = [_variable(next(elements)[1], order, depth + 1)[1] for _ in keys]
-        structs.append(dict(zip(keys, values, strict=True)))
-    return tuple(structs)
-
-
-def _value(
-    elements: Iterator[tuple[int, bytes]],
-    order: str,
-    array_class: int,
-    dimensions: list[int],
-    is_complex: bool,
-) -> Matrix | OtherVariable:
-    if array_class not in (SPARSE, *NUMERIC):
-        return OtherVariable(CLASSES.get(array_class, "an object"))
+    flags = int(elements.numbers()[0])
+    dimensions = elements.numbers().tolist()
+    name = elements.next()[1].decode("ascii")
+    array_class = flags & 0xFF
+    if array_class not in (_SPARSE, *_NUMERIC):
+        return name, OtherVariable(_OTHERS.get(array_class, "an object"))
     if len(dimensions) != 2:
-        return OtherVariable(f"an array of {len(dimensions)} dimensions")
-    if is_complex:
-        return OtherVariable("a matrix of complex numbers")
+        return name, OtherVariable(f"an array of {len(dimensions)} dimensions")
+    if flags >> 8 & _IS_COMPLEX:
+        return name, OtherVariable("a matrix of complex numbers")
     rows, columns = dimensions
     if min(dimensions) < 0 or rows * columns * 8 > LARGEST:
         raise ValueError(f"a matrix of {rows} x {columns} is too large")
-    if array_class in NUMERIC:
-        values = _numbers(next(elements), order)
-        return frozen(values.reshape((rows, columns), order="F"), 2)
-    return frozen(_sparse(elements, order, rows, columns), 2)
+    if array_class == _SPARSE:
+        return name, frozen(_sparse(elements, rows, columns), 2)
+    return name, frozen(elements.numbers().reshape((rows, columns), order="F"), 2)
 
 
-def _sparse(elements: Iterator[tuple[int, bytes]], order: str, rows: int, columns: int) -> Matrix:
+def _sparse(elements: _Elements, rows: int, columns: int) -> Matrix:
     """Return a sparse matrix as a full one."""
-    of_rows = _numbers(next(elements), order).astype(np.int64)
-    starts = _numbers(next(elements), order).astype(np.int64)
-    values = _numbers(next(elements), order)
+    places, starts = [elements.numbers().astype(np.int64) for _ in range(2)]
+    values = elements.numbers()
     counts = np.diff(starts)
     if len(starts) != columns + 1 or starts[0] != 0 or (counts < 0).any():
         raise ValueError("inconsistent columns of a sparse matrix")
     used = int(starts[-1])
-    places = of_rows[:used]
-    is_inside = (places >= 0) & (places < rows)
-    if len(values) < used or len(places) < used or not is_inside.all():
+    places = places[:used]
+    if min(len(values), len(places)) < used or ((places < 0) | (places >= rows)).any():
         raise ValueError("inconsistent entries of a sparse matrix")
     matrix = np.zeros((rows, columns))
     matrix[places, np.repeat(np.arange(columns), counts)] = values[:used]
     return matrix
 
 
-def _numbers(element: tuple[int, bytes], order: str) -> Numbers:
-    kind, data = element
-    if kind not in NUMBERS:
-        raise ValueError(f"expected numbers, got an element of type {kind}")
-    return np.frombuffer(data, order + NUMBERS[kind])
+# --- tables ---
+
+
+class MatTable(DataTable):
+    """A MAT-file: a trajectory of Dymola or OpenModelica, or columns of numbers.
+
+    A trajectory has two rows at each event; the later one counts.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        variables = read_variables(self.label, content_of(path))
+        matrices: dict[str, Matrix] = {}
+        others: dict[str, OtherVariable] = {}
+        for name, value in variables.items():
+            if isinstance(value, OtherVariable):
+                others[name] = value
+            else:
+                matrices[name] = value
+        if others.get("signals") == OtherVariable("a struct"):
+            raise UsageError(
+                f"{self.label}: expected samples, got a log that 'cosim convert' wrote; use the "
+                "log itself, or convert it to Parquet"
+            )
+        self._columns: list[tuple[Vector, float]] = []  # with its sign
+        self._rows = 0
+        try:
+            if {"Aclass", "name"} <= others.keys() and "dataInfo" in matrices:
+                form = "a trajectory of Dymola or OpenModelica"
+                self._take_trajectory(matrices, others)
+            else:
+                form = "matrices of equally many rows"
+                self._take_matrices(matrices)
+        except (KeyError, IndexError, ValueError) as error:
+            raise UsageError(f"{self.label}: a damaged trajectory: {error}") from error
+        self.tell("variables", form, "by their names and sizes", "")
+        self.numbers = set(range(len(self._columns)))
+
+    def _add(self, name: str, unit: str, column: Vector, sign: float = 1.0) -> None:
+        header = Header(name, name, None, len(self._columns))
+        self.add_header(header, unit, "its description")
+        self._columns.append((column, sign))
+
+    def _take_trajectory(
+        self, matrices: Mapping[str, Matrix], others: Mapping[str, OtherVariable]
+    ) -> None:
+        """Take the variables of a simulation; parameters have one value."""
+        self.same_time = "last"
+        if not others["Aclass"].rows:
+            raise ValueError("expected a MAT-file of version 4, got a later one")
+        names, texts = [others[key].rows for key in ("name", "description")]
+        blocks = dict(matrices)
+        if others["Aclass"].rows[3].strip("\0 ") == "binTrans":
+            names, texts = [tuple(map("".join, zip(*t, strict=True))) for t in (names, texts)]
+            blocks = {name: matrix.T for name, matrix in matrices.items()}
+        self._rows = len(blocks["data_2"])
+        info = blocks["dataInfo"].astype(np.int64).tolist()
+        for name, text, (block, column, *_) in zip(names, texts, info, strict=True):
+            unit = _UNIT.fullmatch(text.strip("\0 "))
+            data = blocks[f"data_{block or 2}"]  # 0: the time, which is that of all
+            if not 0 < abs(column) <= data.shape[1] or len(data) not in (2, self._rows):
+                raise ValueError(f"{name.strip()!r} is in a column that is not there")
+            shown = data[:, abs(column) - 1]
+            declared = unit["unit"].strip() if unit else ""
+            self._add(name.strip("\0 "), declared, shown, math.copysign(1.0, column))
+
+    def _take_columns(self, name: str, unit: str, matrix: Matrix) -> None:
+        """Take the columns of a matrix as the elements of a vector."""
+        for number, column in enumerate(matrix.T):
+            self._add(name if matrix.shape[1] == 1 else f"{name}[{number}]", unit, column)
+
+    def _take_matrices(self, matrices: Mapping[str, Matrix]) -> None:
+        """Take the matrices that have as many rows as most of them."""
+        upright = {name: m.T if m.shape[0] == 1 else m for name, m in matrices.items()}
+        counts = Counter(len(matrix) for matrix in upright.values() if len(matrix) > 1)
+        self._rows = counts.most_common(1)[0][0] if counts else 0
+        for name, matrix in upright.items():
+            if len(matrix) == self._rows:
+                self._take_columns(name, "", matrix)
+
+    def numbers_of(self, position: int) -> Vector:
+        """Return the numbers of a column; a parameter has its value at all times."""
+        column, sign = self._columns[position]
+        if len(column) != self._rows:
+            if column[0] != column[-1]:
+                name = repr(self.headers[position].text)
+                raise UsageError(
+                    f"{self.label}: {name}: expected one value of a parameter, got two"
+                )
+            column = np.full(self._rows, column[0])
+        values: Vector = sign * column
+        return values
+
+
+# --- models ---
+
+
+@dataclass(frozen=True, eq=False)
+class ModelFile:
+    """The variables of a file that are matrices of a model, and a hash of the file.
+
+    Parameters
+    ----------
+    matrices : dict of str to Matrix
+    others : tuple of str
+        What else is in the file.
+    sha256 : str
+    """
+
+    matrices: dict[str, Matrix]
+    others: tuple[str, ...]
+    sha256: str
+
+
+def read_model_file(path: Path, letters: tuple[str, ...]) -> ModelFile:
+    """Read the matrices of these names, as far as a MAT-file has them.
+
+    Raises
+    ------
+    UsageError
+        If the file cannot be read or is none of that kind, or a variable of these names is no
+        matrix of finite real numbers.
+    """
+    content = content_of(path)
+    variables = read_variables(f"file {path}", content)
+    matrices = {}
+    for name in letters:
+        value = variables.pop(name, None)
+        if isinstance(value, OtherVariable):
+            raise UsageError(
+                f"file {path}: {name}: expected a matrix of real numbers, got {value.what}"
+            )
+        if value is not None and value.shape != (0, 0):  # MATLAB's [], which stands for none
+            matrices[name] = value
+    sha256 = hashlib.sha256(content).hexdigest()
+    return ModelFile(matrices, tuple(sorted(variables)), sha256)
+
+
+def missing_text(file: str, content: ModelFile, missing: list[str]) -> str:
+    """Return what to say where a file lacks matrices of a model."""
+    names = listing([*content.matrices, *content.others]) or "none"
+    return f"file {file}: expected A and C, got no {' and '.join(missing)}; available: {names}"

@@ -1,40 +1,51 @@
-"""A table: columns by their places, what was found in its file, and what is given of its form.
+"""A table: its columns with their names and units, and what is given and found of its form.
 
-A message tells where a file is no table, and never what stands there: whoever runs a scenario of
-another may be able to read what that other is not.
+The name of a column says what it is, with its unit: ``t [ms]``, ``y (mm)``, ``x_a[1]``. A message
+tells where a file is no table, and never what stands there: whoever runs a scenario of another may
+be able to read what that other is not.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path
-from typing import Final, Literal, NamedTuple, TypeAlias, get_args
+from typing import Any, Final, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 
-from cosim.arrays import Matrix, Vector
-from cosim.errors import UsageError
+from cosim.arrays import NAN, Matrix, Vector
+from cosim.errors import UsageError, nearest
 from cosim.files import read_bounded
 from cosim.instants import EXACT
-from cosim.scenario.data_files.headers import NO_UNIT, Header, find_headers
+from cosim.units import base_unit
 
 LARGEST: Final = 2**28  # bytes
+NO_UNIT: Final = ("-", "1")  # as dimensionless quantities are often marked
 
 TimeOffset: TypeAlias = float | Literal["first"]
 SameTime: TypeAlias = Literal["last", "spread"]
 
+_HEADER: Final = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<unit>[^\[\]]+)\]|\((?P<known>[^()]+)\))")
+_TIMES: Final = re.compile(
+    r"(t|(?P<date>(?i:date|datum|date_?time))|"
+    r"(?i:times?|zeit|uhrzeit|time_?stamps?|zeitstempel|(elapsed|simulation|log)_?time))"
+    r"(_(?P<unit>[mun]?s(ec)?|min|h|(?i:(milli|micro|nano)?seconds|minutes|hours)))?"
+)
+# units of time in words of English and German, and the symbols of their beginnings
+_TIME_WORDS: Final = re.compile(
+    r"(?P<prefix>milli|mi[ck]ro|nano)?(seconds?|sekunden?)|minute[ns]?|hours?|stunden?|days?|tage?",
+    re.IGNORECASE,
+)
+_PREFIXED: Final = {"mil": "ms", "mic": "us", "mik": "us", "nan": "ns"}
+_SYMBOLS: Final = {"se": "s", "mi": "min", "ho": "h", "st": "h", "da": "d", "ta": "d"}
 
-class Reading(NamedTuple):
-    """What was found in a file, and the key that says it otherwise."""
 
-    what: str
-    found: str
-    reason: str
-    key: str
+# --- what is given ---
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +59,11 @@ class TableForm:
         Lines before the names of the columns; None: they are found.
     missing : tuple of numbers and texts
         That stand for no measured value.
+
+    Raises
+    ------
+    UsageError
+        If ``decimal`` or ``skip`` is none.
     """
 
     separator: str | None = None
@@ -62,11 +78,6 @@ class TableForm:
             raise UsageError(f'decimal: expected "." or ",", got {self.decimal!r}')
         if self.skip is not None and self.skip < 0:
             raise UsageError(f"skip: expected a number of lines, got {self.skip}")
-
-    @property
-    def missing_texts(self) -> frozenset[str]:
-        """The cells that are no measured values."""
-        return frozenset(code for code in self.missing if isinstance(code, str))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +98,6 @@ class FieldForm:
     table: TableForm = TableForm()
 
     def __post_init__(self) -> None:
-        """Check what is no key of a table."""
         offset = self.offset
         is_instant = isinstance(offset, int | float) and not isinstance(offset, bool)
         if offset is not None and offset != "first" and not (is_instant and math.isfinite(offset)):
@@ -96,36 +106,224 @@ class FieldForm:
             raise UsageError(f'same_time: expected "last" or "spread", got {self.same_time!r}')
 
 
+# --- names and units of columns ---
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """All that is written of a column, its name and unit in it, and where it stands."""
+
+    text: str
+    name: str
+    unit: str | None
+    position: int
+
+    @staticmethod
+    def parse(text: str, position: int) -> Header:
+        """Split ``y [mm]`` or ``y (mm)``; what is in parentheses may be no unit."""
+        text = text.strip()
+        match = _HEADER.fullmatch(text)
+        if match is None or not match["name"]:
+            return Header(text, text, None, position)
+        unit = (match["unit"] or match["known"]).strip()
+        is_spaced = text[len(match["name"])].isspace()
+        is_index = unit.isdecimal() and not (is_spaced and unit == "1")
+        if is_index or (match["known"] and base_unit(symbol_of(unit)) is None):
+            return Header(text, text, None, position)
+        return Header(text, match["name"], "1" if unit in NO_UNIT else unit, position)
+
+    @property
+    def times(self) -> re.Match[str] | None:
+        """The name where it is ``t``, ``Time``, ``time_ms``, ``Timestamp`` or the like; no ``T``.
+
+        Its ``unit`` is that at the end.
+        """
+        return _TIMES.fullmatch(re.sub("[ -]", "_", self.name))
+
+    @property
+    def time_unit(self) -> str | None:
+        """The unit in which it has times, as it is written; None: it does not say."""
+        if self.unit is not None:
+            return self.unit if seconds_in(self.unit) is not None else None
+        if is_time_word(self.name) and self.name[-1] in "ns":  # no minute of a clock, no tag
+            return self.name
+        return self.times and self.times["unit"]
+
+    @property
+    def has_dates(self) -> bool:
+        """Whether its name says dates, so that numbers such as 20240301 are no seconds."""
+        return self.times is not None and bool(self.times["date"]) and self.time_unit is None
+
+
+def find_headers(label: str, headers: Iterable[Header], names: Iterable[str]) -> list[Header]:
+    """Return columns by all that is written of them, or else by their names without units.
+
+    Raises
+    ------
+    UsageError
+        If there is none of a name, or there are several.
+    """
+    by_text: dict[str, list[Header]] = {}
+    by_name: dict[str, list[Header]] = {}
+    for header in headers:
+        by_text.setdefault(header.text, []).append(header)
+        by_name.setdefault(header.name, []).append(header)
+    found = []
+    for name in names:
+        matches = by_text.get(name) or by_name.get(name, [])
+        if not matches:
+            raise UsageError(f"{label} has no column {name!r}; {nearest(name, by_name)}")
+        if len(matches) > 1:
+            raise UsageError(f"{label}: expected a unique column {name!r}, got {len(matches)}")
+        found += matches
+    return found
+
+
+def unit_of(label: str, name: str, parts: Sequence[Header]) -> str | tuple[str, ...] | None:
+    """Return the unit of a signal made of columns: one for all, one for each, or none.
+
+    Raises
+    ------
+    UsageError
+        If some of them have a unit, and others have not.
+    """
+    units = [part.unit for part in parts if part.unit is not None]
+    if len(units) not in (0, len(parts)):
+        listed = ", ".join(f"{part.name!r} in {part.unit or 'no unit'}" for part in parts)
+        raise UsageError(
+            f"{label}: expected a unit in each column of {name!r}, or in none, got {listed}"
+        )
+    if len(set(units)) > 1:
+        return tuple(units)
+    return units[0] if units else None
+
+
+def second_of(
+    label: str,
+    clock: Header,
+    unit: str | None = None,
+    way_out: str = "select another column by time",
+) -> Decimal:
+    """Return the unit of the times in s: the one given, or that of their column.
+
+    Raises
+    ------
+    UsageError
+        If it is no unit of time.
+    """
+    if unit is None and clock.has_dates:
+        raise UsageError(
+            f"{label}: column {clock.name!r}: expected dates, such as 2024-03-01 12:00, or times "
+            f"with a unit, got neither; {way_out}"
+        )
+    name = unit or clock.unit or clock.time_unit or "s"
+    seconds = seconds_in(name)
+    if seconds is None:
+        raise UsageError(
+            f"{label}: column {clock.name!r}: expected times in a unit of time, such as ms, "
+            f"got {name!r}; {way_out}"
+        )
+    return Decimal(repr(seconds))
+
+
+def seconds_in(unit: str) -> float | None:
+    """Return a unit of time in s; None: it is none."""
+    meaning = base_unit(symbol_of(unit))
+    second = base_unit("s")
+    if meaning is None or second is None or meaning.exponents != second.exponents:
+        return None
+    return meaning.factor
+
+
+def is_time_word(text: str) -> bool:
+    """Return whether a text is a unit of time in a word, such as ``Millisekunden``."""
+    return _TIME_WORDS.fullmatch(text) is not None
+
+
+def symbol_of(unit: str) -> str:
+    """Return the symbol of a unit of time in a word; any other unit as it is."""
+    word = _TIME_WORDS.fullmatch(unit)
+    if word is None:
+        return unit
+    return _PREFIXED[unit[:3].lower()] if word["prefix"] else _SYMBOLS[unit[:2].lower()]
+
+
+def is_number(cell: str) -> bool:
+    """Return whether a cell is a number as numpy reads it: as Python, but without underscores."""
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return "_" not in cell and cell.isascii()
+
+
+# --- columns ---
+
+
+class Reading(NamedTuple):
+    """What was found in a file, and the key that says it otherwise."""
+
+    what: str
+    found: str
+    reason: str
+    key: str
+
+
 class DataTable:
-    """Columns of numbers, each with its place from 0.
+    """Columns of numbers, each with its position from 0.
 
     ``headers`` are the columns with a name, ``index`` those that were the index of a frame,
-    ``stamps`` those of dates or durations, ``numbers`` those of numbers. ``same_time`` says what is
-    done with rows of one time where nobody says it.
+    ``stamp_units`` has the units of dates and durations, ``numbers`` are the columns of numbers.
+    ``same_time`` says what is done with rows of one time where nobody says it. A file has its own
+    :meth:`numbers_of`.
     """
 
     hint = ""
-    same_time: str | None = None
+    same_time: SameTime | None = None
 
     def __init__(self, path: Path) -> None:
         self.label = f"file {str(path)!r}"
         self.headers: list[Header] = []
         self.index: set[int] = set()
-        self.stamps: set[int] = set()
+        self.stamp_units: dict[int, str] = {}
         self.numbers: set[int] = set()
         self.reading: list[Reading] = []
 
-    def tell(self, what: str, found: str, reason: str, key: str, given: object = None) -> None:
-        """Note what was found and why: because its key says so, where that is ``given``."""
-        self.reading.append(Reading(what, found, "given" if given is not None else reason, key))
+    def numbers_of(self, position: int) -> Sequence[Any] | Vector:
+        """Return the numbers of a column as the file has them, texts too; NaN: not measured.
+
+        Raises
+        ------
+        UsageError
+            If it has something else.
+        """
+        raise NotImplementedError
+
+    def stamps_of(self, position: int) -> Sequence[Any] | Vector:
+        """Return the time stamps of a column, in its unit; NaN: there is none."""
+        return self.numbers_of(position)
 
     def place(self, row: int) -> str:
         """Return how messages name a row."""
         return f"row {row + 1}"
 
-    def stamp_unit(self, position: int) -> str | None:
-        """Return the unit of dates or durations; None: the times are numbers."""
-        return "ns" if position in self.stamps else None
+    def cell(self, row: int, position: int) -> str:
+        """Return how messages name a cell."""
+        return f"{self.label}, {self.place(row)}, column {self.headers[position].text!r}"
+
+    def tell(self, what: str, found: str, reason: str, key: str, given: object = None) -> None:
+        """Note what was found and why: because its key says so, where that is ``given``."""
+        self.reading.append(Reading(what, found, "given" if given is not None else reason, key))
+
+    def add_header(self, header: Header, unit: str = "", source: str = "") -> None:
+        """Add a column, with the unit that ``source`` declares beside its name, if it does."""
+        unit = "1" if unit in NO_UNIT else unit
+        if unit and header.unit not in (None, unit):
+            raise UsageError(
+                f"{self.label}, column {header.text!r}: expected one unit, got {header.unit!r} in "
+                f"its name and {unit!r} in {source}"
+            )
+        self.headers.append(replace(header, unit=unit or header.unit))
 
     def times(self, position: int) -> list[Decimal]:
         """Return the time stamps of a column, in its unit.
@@ -133,9 +331,14 @@ class DataTable:
         Raises
         ------
         UsageError
-            If one is missing, or is none.
+            If one is missing, infinite, or none.
         """
-        raise NotImplementedError
+        stamps = [Decimal(str(stamp)) for stamp in self.stamps_of(position)]
+        for row, stamp in enumerate(stamps):
+            if not stamp.is_finite():
+                found = "an empty cell" if stamp.is_nan() else float(stamp)
+                raise UsageError(f"{self.cell(row, position)}: expected a finite time, got {found}")
+        return stamps
 
     def values(self, position: int) -> Vector:
         """Return the numbers of a column; NaN: not measured.
@@ -143,9 +346,27 @@ class DataTable:
         Raises
         ------
         UsageError
-            If it has something else, or an infinite number.
+            If it has something else, an infinite number, or an integer that is no float64.
         """
-        raise NotImplementedError
+        written = self.numbers_of(position)
+        if isinstance(written, np.ndarray):
+            values = written.astype(np.float64)
+        else:
+            values = np.fromiter(map(float, written), np.float64, len(written))
+        values[np.isnan(values)] = NAN
+        for row in np.flatnonzero(np.abs(values) >= EXACT).tolist():
+            if math.isinf(values[row]):
+                raise UsageError(
+                    f"{self.cell(row, position)}: expected a finite number, got {values[row]}"
+                )
+            digits = str(written[row])
+            if digits.lstrip("+-").isdigit() and Decimal(digits) != Decimal(values[row]):
+                raise UsageError(
+                    f"{self.cell(row, position)}: expected an integer that a float64 represents "
+                    "(up to 2**53), got a larger one; write it in fewer digits, or leave its "
+                    "column out by columns"
+                )
+        return values
 
     def find(self, names: Iterable[str] | None) -> list[Header]:
         """Return columns by their names, or all; see :func:`find_headers`."""
@@ -168,43 +389,11 @@ class DataTable:
         """
         columns = [self.values(header.position) for header in headers]
         for header, column in zip(headers, columns, strict=True):
-            empty = np.flatnonzero(np.isnan(column))
-            if empty.size:
+            for row in np.flatnonzero(np.isnan(column)).tolist():
                 raise UsageError(
-                    f"{self.label}, {self.place(int(empty[0]))}, column {header.text!r}: expected "
-                    "a number, got an empty cell"
+                    f"{self.cell(row, header.position)}: expected a number, got an empty cell"
                 )
         return np.stack(columns, axis=1)
-
-    def _add_header(self, header: Header, unit: str, source: str) -> None:
-        """Add a column with the unit that is declared beside its name, if one is."""
-        unit = "1" if unit in NO_UNIT else unit
-        if unit and header.unit not in (None, unit):
-            raise UsageError(
-                f"{self.label}, column {header.text!r}: expected one unit, got {header.unit!r} in "
-                f"its name and {unit!r} in {source}"
-            )
-        self.headers.append(replace(header, unit=unit or header.unit))
-
-    def _refuse_infinite(self, values: Vector, name: str) -> None:
-        infinite = np.flatnonzero(np.isinf(values))
-        if infinite.size:
-            row = int(infinite[0])
-            raise UsageError(
-                f"{self.label}, {self.place(row)}, column {name}: expected a finite number, got "
-                f"{values[row]}"
-            )
-
-    def _refuse_rounded(self, values: Vector, written: Sequence[object], name: str) -> None:
-        """Refuse integers that are no float64; ``written`` is what ``values`` were made of."""
-        for row in np.flatnonzero(np.abs(values) >= EXACT).tolist():
-            digits = str(written[row])
-            if digits.lstrip("+-").isdigit() and Decimal(digits) != Decimal(values[row]):
-                raise UsageError(
-                    f"{self.label}, {self.place(row)}, column {name}: expected an integer that a "
-                    "float64 represents (up to 2**53), got a larger one; write it in fewer digits, "
-                    "or leave its column out by columns"
-                )
 
 
 def content_of(path: Path) -> bytes:

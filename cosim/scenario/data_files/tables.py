@@ -1,17 +1,27 @@
-"""Tables of samples as the field writes them, by the endings of their names."""
+"""Tables of samples as the field writes them, by the endings of their names; Parquet is here."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+from cosim.arrays import NAN
 from cosim.errors import UsageError
-from cosim.scenario.data_files.headers import is_number
-from cosim.scenario.data_files.table import DataTable, TableForm
+from cosim.scenario.data_files.mat_file import MatTable
+from cosim.scenario.data_files.table import (
+    LARGEST,
+    DataTable,
+    Header,
+    TableForm,
+    content_of,
+    is_number,
+)
 from cosim.scenario.data_files.text_table import TextTable, excel_table, text_table
-from cosim.scenario.data_files.typed_table import MatTable, ParquetTable
 
-EXCEL: Final = (".xlsx", ".xlsm")
+_BYTES: Final = 8  # of a number
 
 
 def read_table(path: Path, form: TableForm | None = None) -> DataTable:
@@ -22,7 +32,6 @@ def read_table(path: Path, form: TableForm | None = None) -> DataTable:
     UsageError
         If the file cannot be read, is too large, is no table, or a library is missing.
     """
-    form = form or TableForm()
     table: DataTable
     match path.suffix.lower():
         case ".parquet":
@@ -30,9 +39,10 @@ def read_table(path: Path, form: TableForm | None = None) -> DataTable:
         case ".mat":
             table = MatTable(path)
         case _:
-            table = _table_of_cells(path, form, is_text=False)
+            table = read_texts(path, form, is_text=False)
     named = [header for header in table.headers if header.text]
-    if len(named) + len(table.index & {h.position for h in table.headers if not h.text}) < 2:
+    unnamed = table.index & {header.position for header in table.headers if not header.text}
+    if len(named) + len(unnamed) < 2:
         raise UsageError(
             f"{table.label}: expected at least two named columns (times and samples), got "
             f"{len(named)}{table.hint}"
@@ -42,17 +52,102 @@ def read_table(path: Path, form: TableForm | None = None) -> DataTable:
     return table
 
 
-def read_texts(path: Path) -> TextTable:
-    """Read a table whose cells need not be numbers, and may span several lines; without units.
+def read_texts(path: Path, form: TableForm | None = None, *, is_text: bool = True) -> TextTable:
+    """Read a table of cells, which need not be numbers and may span several lines, without units.
 
     Raises
     ------
     UsageError
         As :func:`read_table`.
     """
-    return _table_of_cells(path, TableForm(), is_text=True)
+    read = excel_table if path.suffix.lower() in (".xlsx", ".xlsm") else text_table
+    return read(path, form or TableForm(), is_text=is_text)
 
 
-def _table_of_cells(path: Path, form: TableForm, *, is_text: bool) -> TextTable:
-    read = excel_table if path.suffix.lower() in EXCEL else text_table
-    return read(path, form, is_text=is_text)
+class ParquetTable(DataTable):
+    """A Parquet file."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        try:
+            import pyarrow
+            import pyarrow.parquet
+        except ImportError as error:
+            raise UsageError(
+                f"{self.label}: reading Parquet requires pyarrow: pip install 'cosim[parquet]', "
+                "or save the table as CSV"
+            ) from error
+        self._arrow = pyarrow
+        content = content_of(path)
+        with self._only_parquet():
+            self._file = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(content))
+            schema = self._file.schema_arrow
+            names: list[str] = list(schema.names)
+            rows = self._file.metadata.num_rows
+        self._types = schema.types
+        entries = _pandas_index(schema)
+        for position, (name, column) in enumerate(zip(names, schema, strict=True)):
+            if pyarrow.types.is_timestamp(column.type) or pyarrow.types.is_duration(column.type):
+                self.stamp_units[position] = column.type.unit
+            elif pyarrow.types.is_integer(column.type) or pyarrow.types.is_floating(column.type):
+                self.numbers.add(position)
+            if name in entries:
+                self.index.add(position)
+            unit = (column.metadata or {}).get(b"unit", b"").decode("utf-8", "replace").strip()
+            self.add_header(Header.parse(name, position), unit, "its metadata")
+        # pandas keeps an index of evenly spaced integers, row numbers or others, only there
+        self._ranges: dict[int, range] = {}
+        for entry in entries:
+            try:
+                numbers = range(entry["start"], entry["stop"], entry["step"])
+                header = Header.parse(entry["name"], len(self.headers))
+                is_counted = len(numbers) == rows
+            except (KeyError, TypeError, AttributeError, ValueError, OverflowError):
+                continue  # of another tool
+            is_named = header.times is not None or header.time_unit is not None
+            if is_counted and (is_named or numbers.step > 1):
+                self._ranges[header.position] = numbers
+                self.add_header(header)
+        self.index |= self._ranges.keys()
+        if rows * len(self.headers) * _BYTES > LARGEST:
+            raise UsageError(
+                f"{self.label}: expected at most {LARGEST // _BYTES} numbers, got {rows} rows of "
+                f"{len(self.headers)} columns"
+            )
+
+    @contextmanager
+    def _only_parquet(self) -> Iterator[None]:
+        try:
+            yield
+        except (self._arrow.ArrowException, OSError, UnicodeDecodeError) as error:
+            raise UsageError(f"{self.label}: not a valid Parquet file") from error
+
+    def numbers_of(self, position: int) -> Sequence[Any]:
+        """Return the numbers of a column; NaN for null."""
+        return self._column(position, is_read=position in self.numbers)
+
+    def stamps_of(self, position: int) -> Sequence[Any]:
+        """Return numbers, or what dates and durations count."""
+        return self._column(position, is_read=position in self.numbers | self.stamp_units.keys())
+
+    def _column(self, position: int, *, is_read: bool) -> Sequence[Any]:
+        if position in self._ranges:
+            return self._ranges[position]
+        if not is_read:
+            raise UsageError(
+                f"{self.label}: column {self.headers[position].text!r}: expected numbers, got type "
+                f"{self._types[position]}"
+            )
+        with self._only_parquet():
+            name = self._file.schema_arrow.names[position]
+            column = self._file.read(columns=[name]).column(0)
+            stamps = column.cast("int64") if position in self.stamp_units else column
+            return [NAN if number is None else number for number in stamps.to_pylist()]
+
+
+def _pandas_index(schema: Any) -> list[Any]:
+    """Return what pandas wrote of the index: names of columns, and what makes a range."""
+    try:
+        return list(json.loads((schema.metadata or {})[b"pandas"])["index_columns"])
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return []  # of another tool

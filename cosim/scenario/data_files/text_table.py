@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import codecs
 import csv
-import math
 import re
 import zipfile
 from collections import Counter
@@ -17,23 +16,28 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from decimal import Decimal
-from io import BytesIO, StringIO
-from itertools import chain
+from io import BytesIO
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
-from cosim.arrays import Vector
 from cosim.errors import UsageError, listing, nearest
 from cosim.filters import ignored_warnings
 from cosim.instants import NANOSECONDS
-from cosim.scenario.data_files.headers import NO_UNIT, Header, is_number, is_time_word
-from cosim.scenario.data_files.table import LARGEST, DataTable, TableForm, content_of
+from cosim.scenario.data_files.table import (
+    LARGEST,
+    NO_UNIT,
+    DataTable,
+    Header,
+    TableForm,
+    content_of,
+    is_number,
+    is_time_word,
+)
 from cosim.units import base_unit
 
 MOST_COLUMNS: Final = 100_000
-COMMENT: Final = "#"
+_COMMENT: Final = "#"
 _SEPARATORS: Final = ("\t", ";", "|", ",")
 _NAMES: Final = {"\t": "tab", " ": "blank"}
 _SAMPLE: Final = 50  # lines at each end that show how a file is made
@@ -79,6 +83,19 @@ def _is_stamp(cell: str) -> bool:
     return nanoseconds(cell) is not None or _LIKE_A_DATE.fullmatch(cell) is not None
 
 
+def _is_value(cell: str) -> bool:
+    """Return whether a cell is a number, a date or a duration."""
+    cell = cell.strip()
+    return is_number(cell.replace(",", ".")) or _is_stamp(cell)
+
+
+def _is_unit(text: str) -> bool:
+    """Return whether a cell below a name is a unit, or none of its own."""
+    is_marked = len(text) > 1 and text[0] + text[-1] in ("[]", "()")
+    is_known = base_unit(text) is not None or is_time_word(text)
+    return not text or text in NO_UNIT or is_marked or is_known
+
+
 # --- rows of cells ---
 
 
@@ -88,10 +105,6 @@ class _Row:
 
     number: int
     cells: list[str]
-
-    @property
-    def width(self) -> int:
-        return len(self.cells)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,64 +126,112 @@ class TextTable(DataTable):
     def __init__(self, path: Path, form: TableForm, sheet: _Sheet, *, is_text: bool) -> None:
         super().__init__(path)
         self._unit = sheet.unit
-        self._gaps = form.missing_texts | {""}
         self._separator = sheet.separator
-        if sheet.separator is not None:
-            self.hint = f" (separated by {sheet.separator!r})"
-            last = sheet.rows[-1].cells[:1] if sheet.rows else []
-            aligned = [part for cell in last for part in cell.split(" ") if part]
-            if len(aligned) > 1 and all(map(is_number, aligned)):
-                self.hint += '; separator = " " splits at blanks'
-        widths = Counter(row.width for row in sheet.rows[-_SAMPLE:] if row.cells)
-        width = max(widths, key=lambda width: widths[width], default=0)
-        if width > MOST_COLUMNS:
-            raise UsageError(f"{self.label}: expected at most {MOST_COLUMNS} columns, got {width}")
-        wide = [row.cells for row in sheet.rows if row.width == width]
-        if width and not is_text and not any(cells[-1].strip() for cells in wide):
-            for cells in wide:  # a separator at the end of each line
-                del cells[-1]
-            width -= 1
-        self._numeric = self._columns_of_numbers(sheet.rows, width)
-        if is_text or form.skip is not None:
-            above, data = self._given_names(sheet.rows, form, width, is_text=is_text)
-        else:
-            above, data = self._found_names(sheet, width)
-        names = above[-1] if above else _Row(1, [])
-        units = None
-        if len(above) > 1 and self._are_units(above[-1], above[-2]):
-            names = above[-2]
-            units = above[-1]
-        self._rows = sheet.rows[data:]
-        self._check_widths([row for row in sheet.rows[:data] if row.number > names.number], names)
-        self._check_widths(self._rows, names)
-        if self._rows and names.width > 1 and not (self._numeric or is_text):
+        self._gaps = {"", *(code for code in form.missing if isinstance(code, str))}
+        width = self._width(sheet, is_text=is_text)
+        found: set[int] = set()
+        for row in sheet.rows[-_SAMPLE:]:
+            if len(row.cells) == width:
+                found |= {place for place, cell in enumerate(row.cells) if _is_value(cell)}
+        self._numeric = sorted(found)  # columns with numbers or times
+        rows = self._from_names(sheet, width, form, is_text=is_text)
+        names = rows[0] if rows else _Row(1, [])
+        self._check_widths(rows[1:], names)
+        may_have_units = len(rows) > 1 and bool(self._numeric) and not is_text
+        has_units = may_have_units and self._are_units(rows[1], names)
+        units = rows[1] if has_units else None
+        self._rows = rows[2:] if has_units else rows[1:]
+        if self._rows and len(names.cells) > 1 and not (self._numeric or is_text):
             raise UsageError(f"{self.label}: expected rows of numbers, got text")
-        self._decimal = form.decimal or self._likely_decimal(sheet.separator, is_text=is_text)
+        self._decimal = form.decimal or self._likely_decimal(is_text=is_text)
         self._tell(sheet, form, names, units)
-        self._take_headers(names, units)
-        if not is_text:
-            self._classify()
+        self._take_columns(names, units)
 
     # what stands where
 
-    def _is_value(self, cell: str) -> bool:
-        cell = cell.strip()
-        return _is_stamp(cell) or is_number(cell.replace(",", "."))
+    def _width(self, sheet: _Sheet, *, is_text: bool) -> int:
+        """Return how many cells most rows have, without a separator at the end of each line."""
+        rows = sheet.rows
+        if sheet.separator is not None:
+            self.hint = f" (separated by {sheet.separator!r})"
+            aligned = (
+                re.split(" +", rows[-1].cells[0].strip(" ")) if rows and rows[-1].cells else []
+            )
+            if len(aligned) > 1 and all(map(is_number, aligned)):
+                self.hint += '; separator = " " splits at blanks'
+        widths = Counter(len(row.cells) for row in rows[-_SAMPLE:] if row.cells)
+        width = max(widths, key=lambda width: widths[width], default=0)
+        if width > MOST_COLUMNS:
+            raise UsageError(f"{self.label}: expected at most {MOST_COLUMNS} columns, got {width}")
+        wide = [row.cells for row in rows if len(row.cells) == width]
+        if not width or is_text or any(cells[-1].strip() for cells in wide):
+            return width
+        for cells in wide:
+            del cells[-1]
+        return width - 1
 
-    def _columns_of_numbers(self, rows: Sequence[_Row], width: int) -> list[int]:
-        """Return the columns that have numbers or times in the last rows."""
-        found: set[int] = set()
-        for row in rows[-_SAMPLE:]:
-            if row.width == width:
-                found |= {place for place, cell in enumerate(row.cells) if self._is_value(cell)}
-        return sorted(found)
+    def _from_names(
+        self, sheet: _Sheet, width: int, form: TableForm, *, is_text: bool
+    ) -> list[_Row]:
+        """Return the row of the names, and what is below it.
+
+        Raises
+        ------
+        UsageError
+            If there is none, it has numbers too, or there are numbers above the names.
+        """
+        rows = sheet.rows
+        if form.skip is not None:
+            return rows
+        wide = [place for place, row in enumerate(rows) if len(row.cells) == width]
+        if is_text or not self._numeric:
+            if is_text and sheet.separator is None:  # the rows of a sheet are filled up
+                wide = [place for place in wide if rows[place].cells[-1].strip()] or wide
+            return rows[wide[0] :] if wide else rows
+        data = next(place for place in wide if self._is_data(rows[place]))
+        above = wide[: wide.index(data)]
+        if not above:
+            return self._from_comment(sheet, data)
+        names = rows[above[-1]]
+        for row in rows[: above[-1]]:
+            if len(row.cells) > 1 and _is_value(row.cells[0]):
+                raise UsageError(
+                    f"{self.label}, {self._at(row)}: expected no row of numbers above the names of "
+                    f"the columns, in {self._at(names)}; skip = {names.number - 1} reads the table "
+                    "that begins there"
+                )
+        if len(above) > 1 and self._values_in(names):
+            raise UsageError(
+                f"{self.label}, {self._at(names)}: expected names of columns or numbers, got both; "
+                f"skip = {names.number - 1} reads names there"
+            )
+        is_below = len(above) > 1 and self._are_units(names, rows[above[-2]])
+        return rows[above[-2 if is_below else -1] :]
+
+    def _from_comment(self, sheet: _Sheet, data: int) -> list[_Row]:
+        """Return names in a comment above the first row, as numpy writes them, and the rows."""
+        rows = sheet.rows
+        first = rows[data]
+        width = len(first.cells)
+        if data:
+            before = rows[data - 1]
+            raise UsageError(
+                f"{self.label}: expected {width} names of columns above {self._at(first)}, "
+                f"which has {width} cells, got {len(before.cells)} in {self._at(before)}"
+            )
+        above = [row for row in sheet.comments if row.number < first.number]
+        if not above or len(above[-1].cells) != width:
+            raise UsageError(
+                f"{self.label}: expected column names in {self._at(first)}, got numbers; skip says "
+                "how many lines stand before the names"
+            )
+        is_below = len(above) > 1 and self._are_units(above[-1], above[-2])
+        return [*above[-2 if is_below else -1 :], *rows]
 
     def _values_in(self, row: _Row) -> list[int]:
         """Return the columns of numbers that have one in a row."""
         cells = row.cells
-        return [
-            place for place in self._numeric if place < len(cells) and self._is_value(cells[place])
-        ]
+        return [place for place in self._numeric if place < len(cells) and _is_value(cells[place])]
 
     def _is_data(self, row: _Row) -> bool:
         """Whether a row has numbers where the last rows have them, and no text before them."""
@@ -178,118 +239,41 @@ class TextTable(DataTable):
         first = self._numeric[0] if self._numeric else 0
         return bool(values) and (values[0] == first or row.cells[first].strip() in self._gaps)
 
-    def _given_names(
-        self, rows: Sequence[_Row], form: TableForm, width: int, *, is_text: bool
-    ) -> tuple[list[_Row], int]:
-        """Return the row of the names, with what may be units below it, and where the data begin.
-
-        The names are in the first row that is not skipped or, of texts, has as many cells as those
-        below.
-        """
-        first = 0
-        if form.skip is None:
-            wide = [place for place, row in enumerate(rows) if row.width == width]
-            if self._separator is None:  # the rows of a sheet are filled up
-                wide = [place for place in wide if rows[place].cells[-1].strip()] or wide
-            first = wide[0] if wide else 0
-        above = list(rows[first : first + 2])
-        if len(above) > 1 and (is_text or not self._are_units(above[1], above[0])):
-            del above[1]
-        return above, first + len(above)
-
-    def _found_names(self, sheet: _Sheet, width: int) -> tuple[list[_Row], int]:
-        """Return the rows above the first row of numbers that are as wide, and where that is.
-
-        Raises
-        ------
-        UsageError
-            If there are none, a row has names and numbers, or there are numbers above the names.
-        """
-        rows = sheet.rows
-        above: list[_Row] = []
-        data = len(rows)
-        for place, row in enumerate(rows):
-            if row.width == width:
-                if self._is_data(row):
-                    data = place
-                    break
-                above.append(row)
-        if not self._numeric and above:
-            return above[:1], rows.index(above[0]) + 1
-        if not above and data < len(rows):
-            return self._commented(sheet, data), data
-        for row in rows[:data]:
-            begins_so = row.width > 1 and self._is_value(row.cells[0])
-            if begins_so and row.number < above[-1].number:
-                raise UsageError(
-                    f"{self.label}, {self._at(row)}: expected no row of numbers above the names of "
-                    f"the columns, in {self._at(above[-1])}; skip = "
-                    f"{above[-1].number - 1} reads the table that begins there"
-                )
-        if len(above) > 1 and self._values_in(above[-1]):
-            raise UsageError(
-                f"{self.label}, {self._at(above[-1])}: expected names of columns or numbers, "
-                f"got both; skip = {above[-1].number - 1} reads names there"
-            )
-        return above, data
-
-    def _commented(self, sheet: _Sheet, data: int) -> list[_Row]:
-        """Return the comments above the first row that are as wide: numpy writes names so.
-
-        Raises
-        ------
-        UsageError
-            If there are none.
-        """
-        first = sheet.rows[data]
-        if data:
-            before = sheet.rows[data - 1]
-            raise UsageError(
-                f"{self.label}: expected {first.width} names of columns above {self._at(first)}, "
-                f"which has {first.width} cells, got {before.width} in {self._at(before)}"
-            )
-        above = [row for row in sheet.comments if row.number < first.number]
-        above = above if above and above[-1].width == first.width else []
-        if not above:
-            raise UsageError(
-                f"{self.label}: expected column names in {self._at(first)}, got numbers; skip says "
-                "how many lines stand before the names"
-            )
-        return above
-
     def _are_units(self, row: _Row, above: _Row) -> bool:
         """Whether a row has the units of the names above it."""
         units = [unit.strip() for unit in row.cells]
         named = list(zip(above.cells, units, strict=False))
-        is_beside = row.width == above.width and all(name.strip() for name, unit in named if unit)
-        if not is_beside or self._is_data(row) or any(map(_is_stamp, above.cells)):
+        is_beside = all(name.strip() for name, unit in named if unit)
+        is_as_wide = len(units) == len(above.cells)
+        if not (is_as_wide and is_beside) or self._is_data(row):
+            return False
+        if any(map(_is_stamp, above.cells)):
             return False
         if any(Header.parse(name, 0).times for name in above.cells):  # then any text is a unit
             return not any(Header.parse(unit, 0).times and unit != "t" for unit in units)
         if self._values_in(above):
             return False
         if any(map(is_time_word, units)):  # German words begin with a capital: Bar
-            units = [unit if is_unit(unit) else unit.lower() for unit in units]
-        return all(map(is_unit, units)) and not any(Header.parse(unit, 0).times for unit in units)
+            units = [unit if _is_unit(unit) else unit.lower() for unit in units]
+        return all(map(_is_unit, units)) and not any(Header.parse(unit, 0).times for unit in units)
 
     def _check_widths(self, rows: Sequence[_Row], names: _Row) -> None:
         """Refuse rows of another width than the names have."""
+        width = len(names.cells)
         for row in rows:
-            if not row.cells:
+            found = len(row.cells)
+            if not found:
                 raise UsageError(
                     f"{self.label}: {self._at(row)} cannot be split: text beside quotes, or a cell "
                     "that spans several lines"
                 )
-            if row.width != names.width:
-                hint = (
-                    "; quote a cell that contains the separator" if row.width > names.width else ""
-                )
+            if found != width:
+                hint = "; quote a cell that contains the separator" if found > width else ""
                 raise UsageError(
-                    f"{self.label}, {self._at(row)}: expected {names.width} cells, got {row.width}"
-                    f"{hint}"
+                    f"{self.label}, {self._at(row)}: expected {width} cells, got {found}{hint}"
                 )
 
-    def _likely_decimal(self, separator: str | None, *, is_text: bool) -> str:
+    def _likely_decimal(self, *, is_text: bool) -> str:
         """Return the decimal sign: a comma where it is in numbers, and no point is.
 
         Raises
@@ -297,23 +281,35 @@ class TextTable(DataTable):
         UsageError
             If it may separate thousands.
         """
-        if separator == ",":
+        if self._separator == ",":
             return "."
         commas: list[str] = []
-        columns = range(self._rows[0].width) if is_text and self._rows else self._numeric
-        for number in chain.from_iterable(map(self._stripped, columns)):
-            if "." in number and is_number(number):
-                return "."
-            if "," in number and is_number(number.replace(",", ".", 1)):
-                commas.append(number)
-        if not commas:
-            return "."
-        if all(map(_THOUSANDS.fullmatch, commas)):
+        for column in range(len(self._rows[0].cells)) if is_text and self._rows else self._numeric:
+            for number in self._stripped(column):
+                if "." in number and is_number(number):
+                    return "."
+                if "," in number and is_number(number.replace(",", ".", 1)):
+                    commas.append(number)
+        if commas and all(map(_THOUSANDS.fullmatch, commas)):
             raise UsageError(
                 f"{self.label}: expected commas that are decimal signs or separate thousands, got "
                 'three digits behind each; decimal = "," reads them as decimal signs'
             )
-        return ","
+        return "," if commas else "."
+
+    def _take_columns(self, names: _Row, units: _Row | None) -> None:
+        """Take the names and units of the columns, and what their first cells are."""
+        for position, text in enumerate(names.cells):
+            unit = units.cells[position].strip().strip("[]()").strip() if units is not None else ""
+            self.add_header(Header.parse(text, position), unit, "the row of units")
+            given = (cell for cell in self._stripped(position) if cell not in self._gaps)
+            first = next(given, "")
+            if is_number(first.replace(",", ".")):
+                self.numbers.add(position)
+            elif nanoseconds(first) is not None:
+                self.stamp_units[position] = "ns"
+        if self.headers and not self.headers[0].text:  # so pandas writes an index without a name
+            self.index = {0}
 
     # what is told
 
@@ -323,6 +319,11 @@ class TextTable(DataTable):
     def place(self, row: int) -> str:
         """Return the line, or the row of the sheet."""
         return self._at(self._rows[row])
+
+    def cell(self, row: int, position: int) -> str:
+        """Return how messages name a cell, with the number of its column."""
+        column = f"{position + 1} ({self.headers[position].text!r})"
+        return f"{self.label}, {self.place(row)}, column {column}"
 
     def _tell(self, sheet: _Sheet, form: TableForm, names: _Row, units: _Row | None) -> None:
         """Note what was found."""
@@ -335,7 +336,7 @@ class TextTable(DataTable):
         self.tell("decimal sign", self._decimal, reason, "decimal", form.decimal)
         if sheet.comments:
             found = f"{len(sheet.comments)} {sheet.unit}s"
-            self.tell("comments", found, f"begin with {form.comment or COMMENT}", "comment")
+            self.tell("comments", found, f"begin with {form.comment or _COMMENT}", "comment")
         self.tell("names", self._at(names), "above the first row of numbers", "skip", form.skip)
         codes = ", ".join(["empty cells, NaN", *map(str, form.missing)])
         self.tell("not measured", codes, "the default", "missing", form.missing or None)
@@ -345,85 +346,56 @@ class TextTable(DataTable):
         if units is not None:
             self.tell("units", self._at(units), "units below the names", "unit")
 
-    def _take_headers(self, names: _Row, units: _Row | None) -> None:
-        for position, text in enumerate(names.cells):
-            header = Header.parse(text, position)
-            unit = units.cells[position].strip().strip("[]()").strip() if units is not None else ""
-            self._add_header(header, unit, "the row of units")
-
-    def _classify(self) -> None:
-        """Find out which columns have numbers and which dates, by their first cells."""
-        if self.headers and not self.headers[0].text:  # so pandas writes an index without a name
-            self.index = {0}
-        for header in self.headers:
-            position = header.position
-            cells = (row.cells[position].strip() for row in self._rows)
-            first = next((cell for cell in cells if cell not in self._gaps), "")
-            if is_number(first.replace(",", ".")):
-                self.numbers.add(position)
-            elif nanoseconds(first) is not None:
-                self.stamps.add(position)
-
     # cells
 
-    def _stripped(self, position: int) -> list[str]:
-        return [row.cells[position].strip() for row in self._rows]
+    def _stripped(self, position: int) -> Iterator[str]:
+        return (row.cells[position].strip() for row in self._rows)
 
     def texts(self, position: int) -> list[str]:
         """Return the cells of a column, numbers with decimal points."""
-        cells = self._stripped(position)
-        if self._decimal == ",":
-            points = [cell.replace(",", ".") for cell in cells]
-            pairs = zip(cells, points, strict=True)
-            cells = [point if is_number(point) else cell for cell, point in pairs]
+        cells = []
+        for cell in self._stripped(position):
+            point = cell.replace(",", ".") if self._decimal == "," else cell
+            cells.append(point if is_number(point) else cell)
         return cells
 
-    def times(self, position: int) -> list[Decimal]:
+    def numbers_of(self, position: int) -> list[str]:
+        """Return the numbers of a column as Python writes them."""
+        cells = enumerate(self._stripped(position))
+        return [self._number(row, position, cell) for row, cell in cells]
+
+    def stamps_of(self, position: int) -> list[Decimal | str]:
         """Return numbers, or the nanoseconds of dates and durations."""
-        stamps: list[Decimal] = []
-        column = self._column(position)
+        stamps: list[Decimal | str] = []
+        is_of_dates = position in self.stamp_units
         for row, cell in enumerate(self._stripped(position)):
-            stamp = nanoseconds(cell) if position in self.stamps else None
-            if stamp is None:
-                if _LIKE_A_DATE.fullmatch(cell):
-                    raise UsageError(
-                        f"{self._cell(row, column)}: expected a date of the calendar in ISO 8601 "
-                        f"(YYYY-MM-DDThh:mm:ss), got {cell!r}; convert the column, such as by "
-                        "pandas.to_datetime"
-                    )
-                if position in self.stamps and cell not in self._gaps:
-                    raise UsageError(
-                        f"{self._cell(row, column)}: expected a date or duration as in the rows "
-                        "before, got other text"
-                    )
-                number = self._number(row, column, cell)
-                if number == "nan":
-                    raise UsageError(
-                        f"{self._cell(row, column)}: expected a time, got an empty cell"
-                    )
-                stamp = Decimal(number)
-            stamps.append(stamp)
+            stamp = nanoseconds(cell) if is_of_dates else None
+            if stamp is not None:
+                stamps.append(stamp)
+            elif _LIKE_A_DATE.fullmatch(cell):
+                raise UsageError(
+                    f"{self.cell(row, position)}: expected a date of the calendar in ISO 8601 "
+                    f"(YYYY-MM-DDThh:mm:ss), got {cell!r}; convert the column, such as by "
+                    "pandas.to_datetime"
+                )
+            elif is_of_dates and cell not in self._gaps:
+                raise UsageError(
+                    f"{self.cell(row, position)}: expected a date or duration as in the rows "
+                    "before, got other text"
+                )
+            else:
+                stamps.append(self._number(row, position, cell))
         return stamps
 
-    def values(self, position: int) -> Vector:
-        """Return the numbers of a column; NaN in empty cells."""
-        cells = enumerate(self._stripped(position))
-        column = self._column(position)
-        numbers = [self._number(row, column, cell) for row, cell in cells]
-        values = np.array(list(map(float, numbers)))
-        self._refuse_infinite(values, column)
-        self._refuse_rounded(values, numbers, column)
-        return values
-
-    def _number(self, row: int, column: str, cell: str) -> str:
+    def _number(self, row: int, position: int, cell: str) -> str:
         """Return a number as Python writes it; "nan": nothing was measured."""
         if cell in self._gaps:
             return "nan"
         number = cell
         if self._decimal == ",":
             number = cell.replace(",", ".") if "." not in cell else ""
-        if number and is_number(number):
-            return "nan" if math.isnan(float(number)) else number
+        if is_number(number):
+            return number
         way_out = ""
         if is_number(cell.replace(",", ".")):
             other = "," if self._decimal == "." else "."
@@ -433,21 +405,8 @@ class TextTable(DataTable):
             if _THOUSANDS.fullmatch(cell):
                 way_out += ", unless commas separate thousands"
         raise UsageError(
-            f"{self._cell(row, column)}: expected a number or an empty cell, got text{way_out}"
+            f"{self.cell(row, position)}: expected a number or an empty cell, got text{way_out}"
         )
-
-    def _column(self, position: int) -> str:
-        return f"{position + 1} ({self.headers[position].text!r})"
-
-    def _cell(self, row: int, column: str) -> str:
-        return f"{self.label}, {self.place(row)}, column {column}"
-
-
-def is_unit(text: str) -> bool:
-    """Return whether a cell below a name is a unit, or none of its own."""
-    is_marked = len(text) > 1 and text[0] + text[-1] in ("[]", "()")
-    is_known = base_unit(text) is not None or is_time_word(text)
-    return not text or text in NO_UNIT or is_marked or is_known
 
 
 # --- text ---
@@ -455,45 +414,41 @@ def is_unit(text: str) -> bool:
 
 def text_table(path: Path, form: TableForm, *, is_text: bool) -> TextTable:
     """Read a text; see :func:`cosim.scenario.data_files.tables.read_table`."""
-    label = f"file {str(path)!r}"
-    text, encoding = _decoded(path, label)
-    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    text, encoding = _decoded(path)
     mark = form.comment
     if mark is None:
-        mark = "" if form.separator == COMMENT else COMMENT
+        mark = "" if form.separator == _COMMENT else _COMMENT
     kept: list[tuple[int, str]] = []
     comments: list[tuple[int, str]] = []
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     for number, line in enumerate(lines[form.skip or 0 :], start=1 + (form.skip or 0)):
         if mark and line.lstrip().startswith(mark):
             comments.append((number, line.lstrip()[len(mark) :].strip(" ")))
         elif line.strip():
             kept.append((number, line))
-    separator = form.separator
-    if separator is None:
-        separator = _likely_separator([line for _, line in kept])
+    separator = form.separator or _likely_separator([line for _, line in kept])
+    decimal = form.decimal or "."
     is_quoted = separator == "," and any('"' in line for _, line in kept)
-    forbidden = f'{"" if is_quoted else form.decimal or "."}"\r\n0123456789'
+    forbidden = f'{"" if is_quoted else decimal}"\r\n0123456789'
     if len(separator) != 1 or separator in forbidden:
         raise UsageError(
-            f"separator: expected one character other than the decimal separator "
-            f"{form.decimal or '.'!r}, got {separator!r}"
+            "separator: expected one character other than the decimal separator "
+            f"{decimal!r}, got {separator!r}"
         )
-    if is_text:
-        rows = list(_long_rows(kept, separator))
-    else:
-        rows = [_Row(number, _cells(line, separator)) for number, line in kept]
-        # of a row of separators nothing can be said but that it is empty
+    rows = list(_split(kept, separator, is_text=is_text))
+    if not is_text:  # of a row of separators nothing can be said but that it is empty
         rows = [row for row in rows if not row.cells or any(map(str.strip, row.cells))]
-    noted = [_Row(number, _cells(line, separator)) for number, line in comments]
+    noted = list(_split(comments, separator, is_text=False))
     table = TextTable(path, form, _Sheet(rows, noted, separator=separator), is_text=is_text)
     if encoding != "utf-8":
         table.tell("encoding", encoding.upper(), "by its first bytes", "")
     return table
 
 
-def _decoded(path: Path, label: str) -> tuple[str, str]:
+def _decoded(path: Path) -> tuple[str, str]:
     """Return a text and its encoding: UTF-8, or UTF-16 by its mark or its zeros."""
     content = content_of(path)
+    label = f"file {str(path)!r}: expected UTF-8 or UTF-16 text"
     encoding = "utf-8"
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         encoding = "utf-16"
@@ -504,11 +459,10 @@ def _decoded(path: Path, label: str) -> tuple[str, str]:
     except UnicodeDecodeError as error:
         # not "from error": that one holds the content
         raise UsageError(
-            f"{label}: expected UTF-8 or UTF-16 text, got another encoding (byte {error.start}); "
-            "save it as UTF-8"
+            f"{label}, got another encoding (byte {error.start}); save it as UTF-8"
         ) from None
     if "\0" in text:
-        raise UsageError(f"{label}: expected UTF-8 or UTF-16 text, got a NUL character")
+        raise UsageError(f"{label}, got a NUL character")
     return text, encoding
 
 
@@ -524,31 +478,28 @@ def _likely_separator(lines: Sequence[str]) -> str:
     return next((name for name, agree in agreeing.items() if most and agree == most), ",")
 
 
-def _cells(text: str, separator: str) -> list[str]:
-    """Split a row; []: it cannot be split, because of its quotes or a cell beyond all size."""
+def _split(lines: Sequence[tuple[int, str]], separator: str, *, is_text: bool) -> Iterator[_Row]:
+    """Yield rows of cells, of which only texts may span several lines.
+
+    Without cells: the row cannot be split, because of its quotes or a cell beyond all size.
+    """
     is_blank = separator == " "  # then columns may be aligned
-    text = text.strip(" ") if is_blank else text
-    if '"' not in text:
-        return re.split(" +", text) if is_blank else text.split(separator)
-    try:
-        reader = csv.reader(
-            StringIO(text), delimiter=separator, strict=True, skipinitialspace=is_blank
-        )
-        return next(reader, [])
-    except csv.Error:
-        return []
-
-
-def _long_rows(lines: Sequence[tuple[int, str]], separator: str) -> Iterator[_Row]:
-    """Yield rows whose cells may span several lines, between quotes."""
-    pending: list[str] = []  # lines of a row whose last quote is open
+    pending: list[str] = []
     begin = 0
+    is_open = False
     for number, line in lines:
         begin = begin if pending else number
-        is_closing = line.count('"') % 2 == (1 if pending else 0)
-        pending.append(line)
-        if is_closing:
-            yield _Row(begin, _cells("\n".join(pending), separator))
+        pending.append(f"{line.strip(' ') if is_blank else line}\n")
+        is_open ^= is_text and line.count('"') % 2 == 1
+        if not is_open:
+            reader = csv.reader(
+                pending, delimiter=separator, strict=True, skipinitialspace=is_blank
+            )
+            try:
+                cells = next(reader, [])
+            except csv.Error:
+                cells = []
+            yield _Row(begin, cells)
             pending = []
     if pending:
         yield _Row(begin, [])
@@ -575,9 +526,12 @@ def excel_table(path: Path, form: TableForm, *, is_text: bool) -> TextTable:
             raise OverflowError
         with ignored_warnings():  # of styles and the like
             book = openpyxl.load_workbook(stream, read_only=True, data_only=True)
-            sheets, empty = _cells_of(book, form)
-            formulas = openpyxl.load_workbook(stream, read_only=True) if empty else book
-            unknown = _formula_in(formulas, empty, form)
+            pages = [page for page in book.worksheets if form.sheet in (None, page.title)]
+            sheets = {page.title: _cells_of(page) for page in pages}
+            unknown = None
+            if any(None in row for cells in sheets.values() for row in cells):
+                formulas = openpyxl.load_workbook(stream, read_only=True)
+                unknown = _formula_in(formulas, sheets, form.skip or 0)
     except OverflowError:
         raise UsageError(f"{label}: expected at most {LARGEST} bytes of sheets, got more") from None
     except Exception as error:  # openpyxl raises whatever a damaged byte leads to
@@ -591,66 +545,57 @@ def excel_table(path: Path, form: TableForm, *, is_text: bool) -> TextTable:
             f"{label}, {unknown}: expected a value, got a formula whose value is not in the "
             "file; open and save it in Excel or LibreOffice"
         )
-    filled = {name: cells for name, cells in sheets.items() if any(map(any, cells))}
+    filled = [name for name, cells in sheets.items() if any(map(any, cells))]
     if len(filled) > 1:
         raise UsageError(
-            f"{label}: expected one sheet with cells, got {listing(list(filled))}; select one by "
-            "sheet"
+            f"{label}: expected one sheet with cells, got {listing(filled)}; select one by sheet"
         )
-    of_sheet = next(iter(filled.values()), [])
-    table = TextTable(path, form, _sheet_of(of_sheet, form), is_text=is_text)
+    sheet = _sheet_of(sheets[filled[0]] if filled else [], form)
+    table = TextTable(path, form, sheet, is_text=is_text)
     table.tell("sheet", ", ".join(filled), "the only one with cells", "sheet", form.sheet)
     return table
 
 
-def _cells_of(
-    book: Any, form: TableForm
-) -> tuple[dict[str, list[list[str]]], set[tuple[str, str]]]:
-    """Return the cells of the sheets, and the places of those without a value."""
-    sheets: dict[str, list[list[str]]] = {}
-    empty: set[tuple[str, str]] = set()
-    for sheet in book.worksheets:
-        if form.sheet in (None, sheet.title):
-            rows = sheets[sheet.title] = []
-            for row in sheet.iter_rows():
-                rows.append([_cell_text(cell.value) for cell in row])
-                for cell in row:  # "str": the value of a formula is an empty text
-                    is_empty = cell.value is None and cell.data_type != "str"
-                    if is_empty and hasattr(cell, "coordinate"):  # else it is not in the file
-                        empty.add((sheet.title, cell.coordinate))
-    return sheets, empty
+def _cells_of(page: Any) -> list[list[str | None]]:
+    """Return the cells of a sheet as a text table has them; None: there is no value."""
+    rows = []
+    for row in page.iter_rows():
+        cells: list[str | None] = []
+        for cell in row:
+            match cell.value:
+                case None:  # "str": the value of a formula is an empty text
+                    cells.append("" if cell.data_type == "str" else None)
+                case timedelta() as duration:
+                    clock = datetime.min + timedelta(0, duration.seconds, duration.microseconds)
+                    time = clock.time().isoformat("microseconds")
+                    cells.append(f"{duration.days} days {time}")
+                case value:
+                    cells.append(str(value).strip())
+        rows.append(cells)
+    return rows
 
 
-def _formula_in(book: Any, places: set[tuple[str, str]], form: TableForm) -> str | None:
-    """Return the first of these places that has a formula, in rows that are not skipped."""
-    for sheet in book.worksheets if places else ():
-        for cell in chain.from_iterable(sheet.iter_rows(min_row=(form.skip or 0) + 1)):
-            if cell.data_type == "f" and (sheet.title, cell.coordinate) in places:
-                return f"sheet {sheet.title!r}, cell {cell.coordinate}"
+def _formula_in(book: Any, sheets: dict[str, list[list[str | None]]], skip: int) -> str | None:
+    """Return the first place that has a formula and no value, in rows that are not skipped."""
+    for title, cells in sheets.items():
+        rows = zip(book[title].iter_rows(), cells, strict=True)
+        for formulas, values in islice(rows, skip, None):
+            for formula, value in zip(formulas, values, strict=True):
+                if value is None and formula.data_type == "f":
+                    return f"sheet {title!r}, cell {formula.coordinate}"
     return None
 
 
-def _sheet_of(cells: Sequence[list[str]], form: TableForm) -> _Sheet:
+def _sheet_of(cells: Sequence[Sequence[str | None]], form: TableForm) -> _Sheet:
     """Return the rows of a sheet, all as wide as the widest; a comment stands alone in its row."""
     width = max((place + 1 for row in cells for place, cell in enumerate(row) if cell), default=0)
-    mark = form.comment or COMMENT
+    mark = form.comment or _COMMENT
     rows: list[_Row] = []
     comments: list[_Row] = []
     for number, row in enumerate(cells, start=1):
-        padded = row[:width] + [""] * (width - len(row))
+        padded = [cell or "" for cell in row[:width]] + [""] * (width - len(row))
         if number <= (form.skip or 0) or not any(row):
             continue
         is_comment = padded[0].startswith(mark) and not any(padded[1:])
         (comments if is_comment else rows).append(_Row(number, padded))
     return _Sheet(rows, comments, "row")
-
-
-def _cell_text(cell: object) -> str:
-    """Return the value of a cell as a text table has it."""
-    match cell:
-        case None:
-            return ""
-        case timedelta():
-            clock = datetime.min + timedelta(0, cell.seconds, cell.microseconds)
-            return f"{cell.days} days {clock.time().isoformat('microseconds')}"
-    return str(cell).strip()

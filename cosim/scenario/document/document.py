@@ -3,6 +3,7 @@
 An edit sets a value at a dotted key. ``components.NAME.PARAMETER`` always is a component's.
 ``NAME.PARAMETER`` is the same, unless NAME is that of a table of the file: then it is in that
 table. ``terms[0].theta`` is in the first entry of a list, ``A[0][1]`` in a row of a matrix.
+A swap is an edit, too: of the whole table of a component, before all others.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import os
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -24,26 +26,18 @@ import numpy as np
 
 from cosim.arguments import path_argument
 from cosim.core.connections import ONE_SOURCE
-from cosim.errors import ScenarioError, UsageError, command, nearest, option, quoted
+from cosim.errors import GraphError, ScenarioError, UsageError, command, nearest, option, quoted
 from cosim.files import file_type, read_bounded
 from cosim.log.contents.metadata import json_table
-from cosim.scenario.document.places import (
-    PORTS,
-    Key,
-    Problem,
-    key_lines,
-    report,
-    written,
-)
-from cosim.scenario.document.schema import RecordTable, Settings
+from cosim.scenario.document.places import PORTS, Key, Problem, report, written
 from cosim.scenario.document.swaps import (
     MAP,
     PortNames,
+    Tables,
+    WrittenPorts,
     is_port_names,
     marked_path,
-    owner_of,
     replace_components,
-    swapped_components,
     table_of,
 )
 
@@ -57,7 +51,6 @@ TABLES: Final = ("scenario", "models", *PORTS, ACTIONS, "record")
 _NOT_COMPONENTS: Final = (*TABLES, "swap", COMPONENTS)  # none that a short key could begin with
 _SET: Final = "(set)"  # first part of the key of a problem with an edit, which stands in no file
 _TOO_DEEP: Final = f"expected tables and lists nested at most {MOST_LEVELS} levels deep, got more"
-_TOO_MANY_DIGITS: Final = "an integer has too many digits; expected at most 64 bits"
 _CLOSING: Final = {"[": "]", "{": "}", "(": ")", "'": "'", '"': '"'}
 _PART: Final = re.compile(r"([^\[\]]+)((?:\[[^\[\]]*\])+)")
 _INDEX: Final = re.compile(r"0|[1-9][0-9]{0,8}")
@@ -91,13 +84,6 @@ def short(key: str) -> str:
     return f"{first}{dot}{rest}"
 
 
-def _shown(key: str) -> str:
-    """Return the short form of a key as it is written: ``actions[0].at`` of ``actions.0.at``."""
-    first, _, rest = key.partition(".")
-    number, dot, inner = rest.partition(".")
-    return f"{ACTIONS}[{number}]{dot}{inner}" if first == ACTIONS and rest else key
-
-
 def component_in(key: str) -> str | None:
     """Return the component that a dotted key is about; None: it is in another table."""
     first, _, rest = key.partition(".")
@@ -118,13 +104,11 @@ def parse_value(text: str) -> Any:
         If it is TOML, but nested too deep, or a number has too many digits.
     """
     try:
-        table = _copied(tomllib.loads(f"value = {text}"))
-    except (RecursionError, UsageError) as error:
-        raise UsageError(f"{quoted(text)}: {_TOO_DEEP}") from error
+        table = plain(_read_toml(f"value = {text}"), -1)
+    except UsageError as error:
+        raise UsageError(f"{quoted(text)}: {error}") from error
     except tomllib.TOMLDecodeError:
         return text
-    except ValueError as error:  # of Python's int
-        raise UsageError(f"{quoted(text)}: {_TOO_MANY_DIGITS}") from error
     return table["value"] if len(table) == 1 else text
 
 
@@ -155,7 +139,7 @@ def parse_values(text: str) -> list[Any]:
 
 
 def plain(value: Any, level: int = 0) -> Any:
-    """Return arrays and tuples as the lists that TOML would have.
+    """Return a copy of a value as TOML could have it: arrays and tuples as lists.
 
     Raises
     ------
@@ -165,17 +149,17 @@ def plain(value: Any, level: int = 0) -> Any:
     if level > MOST_LEVELS:
         raise UsageError(_TOO_DEEP)
     match value:
-        case np.ndarray() | np.generic():
-            return plain(value.tolist(), level + 1)
+        case bool() | int() | float() | str() if not isinstance(value, np.generic):
+            return value
+        case list() | tuple():
+            return [plain(item, level + 1) for item in value]
         case Mapping():
             wrong = [key for key in value if not isinstance(key, str)]
             if wrong:
                 raise UsageError(f"expected a string as key of a table, got {quoted(wrong[0])}")
             return {key: plain(item, level + 1) for key, item in value.items()}
-        case list() | tuple():
-            return [plain(item, level + 1) for item in value]
-        case bool() | int() | float() | str():
-            return value
+        case np.ndarray() | np.generic():
+            return plain(value.tolist(), level + 1)
         case complex():
             return str(value)  # as TOML can have it
     raise UsageError(
@@ -183,60 +167,97 @@ def plain(value: Any, level: int = 0) -> Any:
     )
 
 
-def _copied(value: Any, level: int = -1) -> Any:
-    """Return a copy of tables: far quicker than ``deepcopy``, as TOML has lists and tables only.
+def _read_toml(text: str) -> Tables:
+    """Return the tables of a text.
 
     Raises
     ------
     UsageError
-        If they are nested too deep.
+        If they are nested too deep, or a number has too many digits.
+    TOMLDecodeError
+        If it is no TOML.
     """
-    if level > MOST_LEVELS:
+    if _LONG_KEY.search(text):
         raise UsageError(_TOO_DEEP)
-    if isinstance(value, dict):
-        return {key: _copied(item, level + 1) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_copied(item, level + 1) for item in value]
-    return value
+    try:
+        return tomllib.loads(text)
+    except RecursionError as error:
+        raise UsageError(_TOO_DEEP) from error
+    except tomllib.TOMLDecodeError:
+        raise
+    except ValueError as error:  # of Python's int
+        raise UsageError("an integer has too many digits; expected at most 64 bits") from error
+
+
+_parsed = lru_cache(maxsize=8)(_read_toml)  # a document and its edits share one text
 
 
 # --- edits ---
 
 
-def _set(tree: dict[str, Any], key: str, value: Any) -> Key:
+def _set(tree: Tables, key: str, value: Any) -> Key:
     """Set a value in the tables of a scenario, by its dotted key; return where it stands now.
+
+    Tables are made where there are none, lists are not.
 
     Raises
     ------
     UsageError
         If there is no such place.
     """
+    place: Key = ()
+    holder: Any = tree
+    parts = _parts_in(tree, key, value)
+    while True:
+        part = parts.pop(0)
+        name, *indices = parts_of(part)
+        at: str | int = part
+        if part.startswith("["):
+            at = _index(holder, part[1:-1], place)
+        elif not isinstance(holder, dict):
+            raise UsageError(f"{written(place)}: expected a table, got {quoted(holder)}")
+        elif indices and "." not in part and part not in holder and name in holder:
+            parts[:0] = [f"[{index}]" for index in indices]
+            at = name  # of a list; ports have dots, variables such as x[0] are no keys of ``start``
+        place = (*place, at)
+        if not parts:
+            holder[at] = deepcopy(value)  # a later edit may reach into it
+            return place
+        inner = holder.get(at) if isinstance(at, str) else holder[at]
+        is_table = isinstance(at, str) and not parts[0].startswith("[")
+        # one value for all, such as a unit, gives way to a table; a wrong outermost table does not
+        if is_table and not isinstance(inner, dict) and (inner is None or len(place) > 1):
+            inner = holder[at] = {}
+        holder = inner
+
+
+def _parts_in(tree: Tables, key: str, value: Any) -> list[str]:
+    """Return the parts of the key of an edit, from the outermost table; an index is ``[0]``.
+
+    Raises
+    ------
+    UsageError
+        If there is no such table or component.
+    """
     component = component_in(key)
-    first, *rest = (key if component is None else key.removeprefix(f"{COMPONENTS}.")).split(".")
-    components = table_of(tree, COMPONENTS)
-    if component is None and first in components and not _is_in_table(tree, first, rest):
-        long = option("set", f"{COMPONENTS}.{key}")
-        raise UsageError(
-            f"{first!r} is a table of the scenario, and a component; of the component: {long}"
-        )
-    if not rest and first != ACTIONS and (component is None or not isinstance(value, dict)):
+    first, *parts = key.removeprefix("" if component is None else f"{COMPONENTS}.").split(".")
+    if not parts and first != ACTIONS and (component is None or not isinstance(value, dict)):
         example = option("set", "observer.filter_rate", "500")
         raise UsageError(f"expected COMPONENT.PARAMETER, such as {example}, got no dot")
     if component is not None or first not in TABLES:
-        if rest and first not in components:
+        components = table_of(tree, COMPONENTS)
+        if parts and first not in components:
             suggestion = nearest(first, [*components, *TABLES])
             raise UsageError(f"unknown component {first!r}; {suggestion}")
-        first, rest = COMPONENTS, [first, *rest]
-    elif first == ACTIONS and rest:
-        if rest[1:2] == ["set"] and len(rest) > 2:
-            rest[2:] = [_setting(".".join(rest[2:]))]
-        rest[0] = f"[{rest[0]}]"
+        return [COMPONENTS, first, *parts]
+    if first in PORTS:
+        return [first, ".".join(parts)]
+    if first == ACTIONS and parts:
         tree.setdefault(ACTIONS, [])
-    elif first in PORTS:
-        rest = [".".join(rest)]
-    if first != ACTIONS and not isinstance(tree.setdefault(first, {}), dict):
-        return (first,)  # the schema of the file names that
-    return _set_inside(tree, [first, *rest], value, ())
+        parts[0] = f"[{parts[0]}]"
+        if parts[1:2] == ["set"] and len(parts) > 2:
+            parts[2:] = [_setting(".".join(parts[2:]))]
+    return [first, *parts]
 
 
 def _setting(key: str) -> str:
@@ -245,71 +266,9 @@ def _setting(key: str) -> str:
     return rest if "." in rest else key
 
 
-def _is_in_table(tree: Mapping[str, Any], name: str, path: list[str]) -> bool:
-    """Return whether a table of the file may have a key, as far as its first part shows."""
-    part = parts_of(path[0])[0] if path else ""
-    match name:
-        case "scenario":
-            return part in Settings.model_fields
-        case "record":
-            return part in RecordTable.model_fields
-        case "models":
-            return part in table_of(tree, name)
-        case "actions":
-            return part.isdigit() or not path
-    return name in PORTS and part in table_of(tree, COMPONENTS)
-
-
-def _set_inside(holder: Any, parts: list[str], value: Any, place: Key) -> Key:
-    """Set a value inside a table or a list, which stands at ``place``; an index is ``[0]``.
-
-    Tables are made where there are none, lists are not.
-
-    Raises
-    ------
-    UsageError
-        If a part of the key is in neither.
-    """
-    part, *inner = parts
-    key: str | int = part
-    if part.startswith("["):
-        key = _index(holder, part[1:-1], place)
-    elif not isinstance(holder, dict):
-        raise UsageError(f"{written(place)}: expected a table, got {quoted(holder)}")
-    elif part not in holder:
-        name, *indices = parts_of(part)
-        # the tables inside a component's have names such as ``start = { "x[0]" = 1.0 }``
-        is_name = len(place) == 3 and place[0] == COMPONENTS and name not in holder
-        if indices and not (is_name or _has_ports(place)):
-            split = [name, *(f"[{index}]" for index in indices), *inner]
-            return _set_inside(holder, split, value, place)
-    place = (*place, key)
-    if not inner:
-        holder[key] = deepcopy(value)  # a later edit may reach into it
-        return place
-    there = holder.get(key) if isinstance(holder, dict) else holder[key]
-    if isinstance(holder, dict) and not inner[0].startswith("[") and not isinstance(there, dict):
-        there = holder[key] = {}  # in the place of one value for all, such as a unit
-    return _set_inside(there, inner, value, place)
-
-
-def _has_ports(place: Key) -> bool:
-    """Return whether the keys of a table are those of components, with dots."""
-    match place:
-        case (str(name),):
-            return name in PORTS
-        case (first, int(), "set"):
-            return first == ACTIONS
-    return False
-
-
 def _index(items: Any, index: str, place: Key) -> int:
     """Return the number of an element of a list, which stands at ``place``."""
     name = written(place)
-    if items is None:
-        raise UsageError(
-            f"{name} is not given, so element {index} cannot be set; set it as a whole"
-        )
     if not isinstance(items, list):
         raise UsageError(f"{name}: expected a list, got {quoted(items)}")
     if _INDEX.fullmatch(index) is None or int(index) >= len(items):
@@ -318,46 +277,59 @@ def _index(items: Any, index: str, place: Key) -> int:
     return int(index)
 
 
-def _flatten(tree: dict[str, Any], edits: dict[Key, str]) -> list[Problem]:
+def _flatten(tree: Tables) -> list[Problem]:
     """Write the ports of a scenario's tables as one dotted key each.
 
-    ``plant.u = ...`` and ``"plant.u" = ...`` mean the same. What a key was edited by goes along.
+    ``plant.u = ...`` and ``"plant.u" = ...`` mean the same.
     """
-    holders: list[tuple[Any, str, Key]] = [(tree, name, (name,)) for name in PORTS]
-    for name, table in table_of(tree, "swap").items():
-        holders.append((table, "map", ("swap", name, "map")))
+    holders: list[tuple[Any, Key]] = [(tree, (name,)) for name in PORTS]
+    for name, entry in table_of(tree, "swap").items():
+        holders.append((entry, ("swap", name, "map")))
     actions = tree.get(ACTIONS)
-    for number, table in enumerate(actions if isinstance(actions, list) else ()):
-        holders.append((table, "set", (ACTIONS, number, "set")))
+    for number, action in enumerate(actions if isinstance(actions, list) else ()):
+        holders.append((action, (ACTIONS, number, "set")))
     problems: list[Problem] = []
-    for holder, name, place in holders:
+    for holder, place in holders:
+        name = str(place[-1])
         if not (isinstance(holder, dict) and isinstance(holder.get(name), dict)):
             continue
-        flat: dict[str, Any] = {}
+        flat: Tables = {}
         for key, value in holder[name].items():
             pairs = {key: value}
             if isinstance(value, dict) and "." not in key:
                 pairs = {f"{key}.{inner}": item for inner, item in value.items()}
             for dotted, item in pairs.items():
                 port = _setting(dotted) if place[0] == ACTIONS else dotted
-                if (*place, key) in edits:
-                    edits[*place, port] = edits[*place, key]
                 if port in flat:
-                    problems.append(((*place, port), _given_twice(f"'{port}'", str(place[0]))))
+                    way_out = ONE_SOURCE if name == "connections" else "remove one"
+                    problems.append(((*place, port), f"'{port}' is given twice; {way_out}"))
                 flat[port] = item
         holder[name] = flat
     return problems
 
 
-def _given_twice(key: str, table: str) -> str:
-    """Return what to say of a key that a table of the scenario has twice, or of a table."""
-    if key.startswith("["):
-        return f"the table {key} is given twice; put its keys below one heading"
-    reasons = {"connections": ONE_SOURCE, "truth": "an estimate has one true value"}
-    return f"{key} is given twice; {reasons.get(table, 'remove one')}"
-
-
 # --- the text ---
+
+
+@dataclass(frozen=True, slots=True)
+class EditedTables:
+    """The tables of a scenario with all edits.
+
+    Parameters
+    ----------
+    tree : dict
+    problems : list of Problem
+        Of the edits.
+    edits : dict of str to str
+        By what keys were edited from outside.
+    replaced : dict of component name to dict
+        The tables in whose place those of swaps are.
+    """
+
+    tree: Tables
+    problems: list[Problem]
+    edits: dict[str, str]
+    replaced: dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -417,8 +389,12 @@ class Document:
             paths[name] = os.path.relpath(place, self.folder.resolve())
         kept = dict(self.maps)
         if kept:
-            tree, _ = self.tree()
-            kept = {port: kept[port] for port in kept if owner_of(tree, port) not in swaps}
+            tables = self.tables()
+            ports = WrittenPorts(tables.tree)
+            for port in self.maps:
+                with suppress(GraphError):
+                    if ports.meant(port, list(tables.replaced)).component in swaps:
+                        del kept[port]
         for port, names in (maps or {}).items():
             if not is_port_names(names):
                 expected = "expected a name or a list of names"
@@ -456,7 +432,7 @@ class Document:
 
     def swapped_components(self) -> list[str]:
         """Return the names of the swapped components."""
-        return swapped_components(self.tree()[0]) if self.swapped else []
+        return list(self.tables().replaced)
 
     def edits(self) -> str:
         """Return swaps, maps and changes as JSON, for the log."""
@@ -484,15 +460,13 @@ class Document:
             if not isinstance(recorded.get(key), kind):
                 raise ValueError(f"{key}: got {quoted(recorded.get(key))}")
         swaps, maps = recorded["swaps"], recorded["maps"]
-        for name, path in swaps.items():
-            if not isinstance(path, str):
-                raise ValueError(f"{name!r}: expected a path, got {quoted(path)}")
-        for port, names in maps.items():
-            if not is_port_names(names):
-                raise ValueError(f"{port!r}: expected port names, got {quoted(names)}")
+        wrong = [(name, path) for name, path in swaps.items() if not isinstance(path, str)]
+        wrong += [(port, names) for port, names in maps.items() if not is_port_names(names)]
+        for key, value in wrong:
+            raise ValueError(f"{key!r}: expected a path, or port names, got {quoted(value)}")
         return Document(text, recorded["source"], folder, swaps, maps, recorded["changes"])
 
-    def tree(self) -> tuple[dict[str, Any], list[Problem]]:
+    def tree(self) -> tuple[Tables, list[Problem]]:
         """Return the tables with swaps and changes applied, and the problems of these.
 
         Raises
@@ -500,77 +474,69 @@ class Document:
         ScenarioError
             If the text is no TOML.
         """
-        tree, problems, _ = self._edited()
-        return tree, problems
+        tables = self.tables()
+        return tables.tree, tables.problems
 
-    def report(self, problems: Iterable[Problem]) -> ScenarioError:
-        """Return one error with every problem at its place."""
-        tree, _, edits = self._edited()
-        swapped = swapped_components(tree) if self.swapped else []
+    def tables(self) -> EditedTables:
+        """Return the tables with swaps and changes applied, and what was edited.
+
+        Raises
+        ------
+        ScenarioError
+            If the text is no TOML.
+        """
+        try:
+            tree = plain(_parsed(self.text), -1)
+        except UsageError as error:
+            raise ScenarioError(f"{self.source}: {error}") from error
+        except tomllib.TOMLDecodeError as error:
+            raise ScenarioError(self._syntax(str(error))) from error
+        problems = _flatten(tree)
+        edits: dict[str, str] = {}
+        for name in self.swaps:
+            edits |= dict.fromkeys((f"swap.{name}", f"{COMPONENTS}.{name}"), option("swap", name))
         for port in self.maps:
-            places: list[Key] = [(MAP, port), *(("swap", name, "map", port) for name in swapped)]
-            edits |= dict.fromkeys(places, option("map", port))
-        return ScenarioError(report(problems, self.source, self.text, edits, swapped))
-
-    def _edited(self) -> tuple[dict[str, Any], list[Problem], dict[Key, str]]:
-        """Return the tables, the problems of edits, and by what a key was edited."""
-        tree = self._parsed()
-        edits: dict[Key, str] = {}
-        problems = _flatten(tree, edits)
+            edits[written((MAP, port))] = option("map", port)
+        replaced = {}
         if self.swapped:
-            problems += replace_components(tree, self.swaps)
-            edits |= {("swap", name): option("swap", name) for name in self.swaps}
+            replaced = replace_components(tree, self.swaps, problems)
         else:
             tree.pop("swap", None)
         for key, value in self.changes.items():
+            # as it is written: ``actions[0].at`` of ``actions.0.at``
+            label = option("set", re.sub(rf"^{ACTIONS}\.(\w+)", rf"{ACTIONS}[\1]", key))
             try:
-                place = _set(tree, key, value)
+                edits[written(_set(tree, key, value))] = label
             except UsageError as error:
-                place = (_SET, key)
-                problems.append((place, str(error)))
-            edits[place] = option("set", _shown(key))
-        problems += _flatten(tree, edits)  # again, for the tables that were set
-        return tree, problems, edits
+                problems.append(((_SET, key), str(error)))
+                edits[written((_SET, key))] = label
+        problems += _flatten(tree)  # again, for the tables that were set
+        return EditedTables(tree, problems, edits, replaced)
 
-    def _parsed(self) -> dict[str, Any]:
-        try:
-            if _LONG_KEY.search(self.text):
-                raise UsageError(_TOO_DEEP)
-            tables: dict[str, Any] = _copied(_parse(self.text))
-        except (RecursionError, UsageError) as error:
-            raise ScenarioError(f"{self.source}: {_TOO_DEEP}") from error
-        except tomllib.TOMLDecodeError as error:
-            raise ScenarioError(self._syntax(str(error))) from error
-        except ValueError as error:  # of Python's int
-            raise ScenarioError(f"{self.source}: {_TOO_MANY_DIGITS}") from error
-        return tables
+    def report(self, problems: Iterable[Problem]) -> ScenarioError:
+        """Return one error with every problem at its place."""
+        tables = self.tables()
+        text = report(problems, self.source, self.text, tables.edits, tables.replaced)
+        return ScenarioError(text)
 
     def _syntax(self, message: str) -> str:
         """Return where a text is no TOML, and the way out."""
         position = re.search(r"\(at line (\d+), column \d+\)", message)
         if position is None:
             return f"{self.source}: not TOML: {message}"
-        place = f"{self.source}:{position[1]}"
         number = int(position[1])
         line = self.text.split("\n")[number - 1]
-        key = line.split("=")[0].strip()
+        key = re.split("[=#]", line)[0].strip()
         if "overwrite" in message or "twice" in message:
-            above = [(at, key) for key, at in key_lines(self.text).items() if at <= number]
-            _, (table, *_) = max(above, key=lambda item: item[0], default=(0, ("",)))
-            return f"{place}: {_given_twice(key, str(table))}"
-        way_out = ""
+            way_out = "put its keys below one heading" if line.startswith("[") else "remove one"
+            return f"{self.source}:{number}: {key} is given twice; {way_out}"
         if not (key.isascii() or '"' in key or "'" in key):
-            way_out = "; keys with non-ASCII letters must be quoted"
+            message += "; keys with non-ASCII letters must be quoted"
         if re.search(r'"[^"]*\\', line):
-            way_out += (
+            message += (
                 "; in double quotes a backslash begins an escape: write a path in single quotes"
             )
-        return f"{place}: not TOML: {message}{way_out}"
-
-
-@lru_cache(maxsize=8)  # a document and its edits share one text
-def _parse(text: str) -> dict[str, Any]:
-    return tomllib.loads(text)
+        return f"{self.source}:{number}: not TOML: {message}"
 
 
 # --- files ---
@@ -609,17 +575,14 @@ def find(name: str | Path) -> Document:
 
 def _read_text(path: Path) -> str:
     try:
-        text = read_bounded(path, LARGEST).decode("utf-8-sig")
-        return text.replace("\r\n", "\n")
+        return read_bounded(path, LARGEST).decode("utf-8-sig").replace("\r\n", "\n")
     except OSError as error:
-        raise ScenarioError(
-            f"{path}: cannot be read ({error.strerror}); expected a scenario file, or one of: "
-            f"{', '.join(shipped())}"
-        ) from error
+        problem = f"cannot be read ({error.strerror})"
+        expected = f"a scenario file, or one of: {', '.join(shipped())}"
+        raise ScenarioError(f"{path}: {problem}; expected {expected}") from error
     except UnicodeDecodeError as error:
-        raise ScenarioError(
-            f"{path}: is not UTF-8 text (byte {error.start}); expected a scenario in TOML"
-        ) from error
+        problem = f"is not UTF-8 text (byte {error.start})"
+        raise ScenarioError(f"{path}: {problem}; expected a scenario in TOML") from error
 
 
 def shipped() -> list[str]:

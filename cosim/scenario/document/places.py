@@ -1,15 +1,20 @@
-"""Where the keys of a scenario stand: a line of its file, or an edit from outside."""
+"""Where the keys of a scenario stand: a line of its file, or an edit from outside.
+
+A key is written as ``components.delta.terms[0].theta``, whatever parts it has in the file: the port
+in ``"plant.u" = ...`` and in ``plant.u = ...`` is the same. What is not there itself stands where
+the nearest of the keys around it does.
+"""
 
 from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from functools import lru_cache
 from typing import Any, Final, TypeAlias
 
-from cosim.errors import shortened
+from cosim.errors import listing, shortened
 
 Key: TypeAlias = tuple[str | int, ...]  # where a value stands in the tables of a scenario
 Problem: TypeAlias = tuple[Key, str]
@@ -35,39 +40,31 @@ def written(key: Key) -> str:
 
 
 @lru_cache(maxsize=8)  # a document and its edits share one text
-def key_lines(text: str) -> dict[Key, int]:
-    """Return the lines of the tables and keys of a text, from 1.
+def key_lines(text: str) -> dict[str, int]:
+    """Return the lines of the tables and keys of a text, from 1, by the keys as they are written.
 
-    Elements of a list over several lines have the lines that they begin in; what else is inside a
-    value has the line of its key.
+    What is inside a value has the line of its key.
     """
-    lines: dict[Key, int] = {}
+    lines: dict[str, int] = {}
     counts: dict[Key, int] = {}  # of the tables in arrays of them
     table: Key = ()
-    value: Key = ()  # the key whose value is read
     depth = 0  # of the brackets that are open
-    element = 0  # of the outermost list
     bare = _LITERALS.sub(lambda match: re.sub(r"[^\n]", "_", match[0]), text)
     pairs = zip(text.split("\n"), bare.split("\n"), strict=True)
     for number, (line, outside) in enumerate(pairs, start=1):
         content = outside.strip()
         if depth == 0 and content.startswith("["):
             table = _path(line)
-            lines.setdefault(_with_port(table), number)
+            lines.setdefault(written(table), number)
             if content.startswith("[["):
                 counts[table] = counts.get(table, -1) + 1
                 table = (*table, counts[table])
-                lines[table] = number
+                lines[written(table)] = number
             continue
         if depth == 0 and "=" in outside:
-            value = _with_port((*table, *_path(f"{line[: outside.index('=')]}= 0")))
-            lines.setdefault(value, number)
-            element = 0
-        elif depth == 1 and content and content[0] != "]":
-            lines.setdefault((*value, element), number)
-        for mark in re.findall(r"[\[\]{},]", outside):
-            element += mark == "," and depth == 1
-            depth += (mark in "[{") - (mark in "]}")
+            key = (*table, *_path(f"{line[: outside.index('=')]}= 0"))
+            lines[written(key)] = number  # of a key that is given twice, in two spellings, the last
+        depth += sum(map(outside.count, "[{")) - sum(map(outside.count, "]}"))
     return lines
 
 
@@ -83,21 +80,11 @@ def _path(line: str) -> Key:
     return tuple(path)
 
 
-def _with_port(key: Key) -> Key:
-    """Return a key with the port that an entry is for as one part, as it may be two in a file."""
-    at = {"connections": 1, "truth": 1, "swap": 3, "actions": 3}.get(str(key[0]), 0) if key else 0
-    if at == 3 and key[2:3] not in (("map",), ("set",)):
-        return key
-    if not at or len(key) < at + 2 or "." in str(key[at]):
-        return key
-    return (*key[:at], ".".join(map(str, key[at : at + 2])), *key[at + 2 :])
-
-
 def report(
     problems: Iterable[Problem],
     source: str,
     text: str,
-    edits: Mapping[Key, str] | None = None,
+    edits: Mapping[str, str] | None = None,
     swapped: Collection[str] = (),
 ) -> str:
     """Return every problem at its place, each once.
@@ -107,40 +94,41 @@ def report(
     problems : iterable of Problem
     source, text : str
         The file, and what is in it.
-    edits : mapping of Key to str, optional
-        What was edited from outside, and by what.
+    edits : mapping of str to str, optional
+        By what keys were edited from outside.
     swapped : collection of str
         The components that stand where another one is swapped in.
     """
     lines: dict[str, None] = {}
     for key, problem in problems:
-        label = _label(key, source, key_lines(text), edits or {}, swapped)
+        in_file = key
+        if key[:1] == ("components",) and key[1:2] and key[1] in swapped:
+            in_file = ("swap", *key[1:])
+        label = _label(written(key), written(in_file), edits or {}, source, key_lines(text))
         for line in problem.splitlines():
             lines[shortened(f"{label}: {line}", MOST_LINE)] = None
     return "\n".join(lines)
 
 
 def _label(
-    key: Key,
-    source: str,
-    lines: Mapping[Key, int],
-    edits: Mapping[Key, str],
-    swapped: Collection[str],
+    key: str, in_file: str, edits: Mapping[str, str], source: str, lines: Mapping[str, int]
 ) -> str:
     """Return where a key stands and its name: what a message begins with."""
-    name = shortened(written(key))
-    outer = [key[:length] for length in range(len(key), 0, -1)]
-    if key[:1] == ("components",) and key[1:2] and key[1] in swapped:
-        outer[-1:-1] = [("swap", str(key[1]))]
-    for one in outer:
-        if one in edits:
-            return edits[one] if one == key else f"{edits[one]}: {name}"
-        if one[:1] == ("swap",) and one in lines:
-            return f"{source}:{lines[one]}: {name}"
-    place = next((f"{source}:{lines[one]}" for one in outer if one in lines), source)
-    inside = sorted({edit for one, edit in edits.items() if key and one[: len(key)] == key})
-    if len(inside) > _MOST_EDITS:
-        inside[_MOST_EDITS:] = [f"{len(inside) - _MOST_EDITS} more"]
+    name = shortened(key)
+    for outer in _outwards(key):
+        if outer in edits:
+            return edits[outer] if outer == key else f"{edits[outer]}: {name}"
+    numbers = (lines[outer] for outer in _outwards(in_file) if outer in lines)
+    place = next((f"{source}:{number}" for number in numbers), source)
+    beginnings = (f"{key}.", f"{key}[")
+    inside = sorted({edit for at, edit in edits.items() if at.startswith(beginnings)})
     if inside:
-        place += f" (with {', '.join(inside)})"
+        place += f" (with {listing(inside, _MOST_EDITS)})"
     return f"{place}: {name}" if name else place
+
+
+def _outwards(key: str) -> Iterator[str]:
+    """Yield a key and those around it, the innermost first."""
+    while key:
+        yield key
+        key = key[: max(key.rfind("."), key.rfind("["), 0)]

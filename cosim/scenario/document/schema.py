@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 import re
 import unicodedata
 from collections.abc import Iterator
+from contextlib import suppress
 from fractions import Fraction
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
 from pydantic import (
@@ -18,10 +20,13 @@ from pydantic import (
     Field,
     InstanceOf,
     PlainValidator,
+    model_validator,
 )
 
 from cosim.core.recorded.partial import RecordSelection
 from cosim.errors import quoted
+from cosim.scenario.document.places import Problem
+from cosim.scenario.document.problems import TableProblems
 from cosim.units import base_unit, unknown_unit
 
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
@@ -74,15 +79,13 @@ def _pole(value: object) -> complex:
     ValueError
         If it is neither, or not finite.
     """
-    expected = 'expected a finite number, or a complex one as a string such as "-3+2j"'
-    if isinstance(value, bool) or not isinstance(value, int | float | str):
-        raise ValueError(f"{expected}, got {quoted(value)}")
-    try:
-        pole = complex(value)
-    except (ValueError, OverflowError) as error:
-        raise ValueError(f"{expected}, got {quoted(value)}") from error
-    if not (math.isfinite(pole.real) and math.isfinite(pole.imag)):
-        raise ValueError(f"{expected}, got {quoted(value)}")
+    pole = complex(math.nan)
+    if isinstance(value, int | float | str) and not isinstance(value, bool):
+        with suppress(ValueError, OverflowError):
+            pole = complex(value)
+    if not cmath.isfinite(pole):
+        expected = 'a finite number, or a complex one as a string such as "-3+2j"'
+        raise ValueError(f"expected {expected}, got {quoted(value)}")
     return pole
 
 
@@ -326,7 +329,14 @@ class ActionTable(TomlTable):
             return []
         return [self.signal] if isinstance(self.signal, str) else self.signal
 
-    def problems(self) -> Iterator[tuple[tuple[str, ...], str]]:
+    @model_validator(mode="after")
+    def _is_one_action(self) -> Self:
+        problems = list(self._problems())
+        if problems:
+            raise TableProblems(problems)
+        return self
+
+    def _problems(self) -> Iterator[Problem]:
         """Yield what is wrong with it by itself."""
         if (self.at is None) == (self.when is None):
             found = "neither" if self.at is None else "both"

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
 from itertools import product
 from pathlib import Path
 from typing import Any, Final, Literal, TypeAlias
@@ -15,25 +16,22 @@ from cosim.arguments import mapping_argument, truth_argument
 from cosim.arrays import Vector
 from cosim.errors import AssumptionError, CosimError, UsageError
 from cosim.scenario.building.parsing import Scenario
-from cosim.scenario.document.document import short
-from cosim.scenario.experiment_design.designs import (
-    ExperimentDesign,
-    OmittedDesigns,
-    RankedDesign,
-)
-from cosim.scenario.experiment_design.subject import DesignSubject, subject_of
-from cosim.scenario.experiment_design.trial import Trial, trial_of
+from cosim.scenario.document.document import plain, short
+from cosim.scenario.experiment_design.trial import DesignSubject, Trial, subject_of, trial_of
+from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.reconstruction import DEFAULT_ORDER, FILTERS
 from cosim.scenario.running.execution import load
 from cosim.theory.experiment_design.delay_search import search_delays
 from cosim.theory.experiment_design.predictions import PredictedEstimate, RegressionExperiment
 
 RegressionMethod: TypeAlias = Literal["rayleigh", "least-squares"]
-_Variant: TypeAlias = tuple[RegressionExperiment, tuple[int, ...], RegressionMethod]
-_Omission: TypeAlias = tuple[str, str, str]  # choice, method, reason
+_Steps: TypeAlias = tuple[int, ...]  # delays in samples
+_Settings: TypeAlias = Mapping[str, Any]
 REGRESSION_METHODS: Final[tuple[RegressionMethod, ...]] = ("rayleigh", "least-squares")
 OUTPUT_ERROR: Final = "output-error"
 
+_CHOICES: Final = ("scenario", "delays", "filter", "step", "window", "together", "input")
+_METHODS: Final = (OUTPUT_ERROR, *REGRESSION_METHODS)
 _LONGEST: Final = 0.25  # of the run: the longest delay that is tried
 _FILTER_KEYS: Final = {"filter", "q0"}.union(
     *(variant.needed for variant in FILTERS.values()),
@@ -50,6 +48,113 @@ _WINDOWS: Final = (0.5, 0.25, 0.125)  # of the run: of output error
 _INPUTS: Final = (0.0, 10.0)  # times the input of the scenario
 _UNDETERMINED: Final = "no estimate: the data do not determine theta"
 _MODEL_ERROR: Final = 1e-3  # of y, above which a model is not that of the plant
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RankedDesign:
+    """A choice, and the error of theta that is to be expected with it.
+
+    Parameters
+    ----------
+    choice : str
+        What is chosen: ``scenario`` for all as it is, ``delays``, ``filter``, ``step``, ``window``,
+        ``input``, or ``together``.
+    settings : mapping of dotted key to value
+        What the choice sets.
+    method : str
+        Of the estimator.
+    bias, standard_error, error : Vector, shape (P,)
+        Mean of the estimates less theta, their deviation, and both together as root mean square;
+        infinite where the estimator finds no theta.
+    ratio : float
+        The largest error over the Cramer-Rao bound of y with the scenario as it is.
+    """
+
+    choice: str
+    settings: Mapping[str, Any]
+    method: str
+    bias: Vector
+    standard_error: Vector
+    error: Vector
+    ratio: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        content: dict[str, Any] = plain(vars(self))
+        return content
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OmittedDesigns:
+    """Choices that have no error to be expected, all for one reason.
+
+    Parameters
+    ----------
+    choice : str
+        As of a :class:`RankedDesign`.
+    method : str
+        Of the estimator; empty: all of them.
+    settings : tuple of mapping of dotted key to value
+        What each choice sets.
+    reason : str
+    """
+
+    choice: str
+    method: str
+    settings: tuple[Mapping[str, Any], ...]
+    reason: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        content: dict[str, Any] = plain(vars(self))
+        return content
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ExperimentDesign:
+    """Choices for a scenario, ranked by the error of theta that is to be expected.
+
+    Parameters
+    ----------
+    scenario : str
+    identifier : str
+    theta : Vector, shape (P,)
+    deviations : Vector, shape (n_y,)
+        Of the noise of y.
+    noise_source : str
+    bound : Vector, shape (P,)
+        The least standard errors of theta from y, by output error, with the scenario as it is.
+    designs : tuple of RankedDesign
+        By choice; within a choice and a method the best first. Those of the scenario as it is may
+        have an infinite error, no others.
+    omitted : tuple of OmittedDesigns
+        What was not tried, is refused, or finds no theta.
+    notes : tuple of str
+    """
+
+    scenario: str
+    identifier: str
+    theta: Vector
+    deviations: Vector
+    noise_source: str
+    bound: Vector
+    designs: tuple[RankedDesign, ...]
+    omitted: tuple[OmittedDesigns, ...]
+    notes: tuple[str, ...]
+
+    def of(self, choice: str, method: str) -> tuple[RankedDesign, ...]:
+        """Return the designs of a choice and a method, the best first."""
+        return tuple(
+            design for design in self.designs if design.choice == choice and design.method == method
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        content = {**vars(self), "designs": [], "omitted": []}
+        renamed = {"noise_source": "noise"}
+        values = {renamed.get(name, name): plain(value) for name, value in content.items()}
+        designs = [design.to_dict() for design in self.designs]
+        return {**values, "designs": designs, "omitted": [one.to_dict() for one in self.omitted]}
 
 
 def design(
@@ -93,16 +198,14 @@ def design(
     subject = subject_of(edited, noise=noise, theta=theta)
     trial = trial_of(subject, {})
     if longest is None:
-        longest = max(_LONGEST * trial.span, *subject.regressor_kind.delays)
-    ranking = _Ranking(subject, trial, longest)
+        longest = max(_LONGEST * trial.span, *trial.delays)
     if not trial.step <= longest < math.inf:
         raise UsageError(f"longest: expected at least one communication step, got {longest:g} s")
-    return ranking.all_of(with_input=input)
+    return _Ranking(subject, trial, longest).design(with_input=input)
 
 
-@dataclass(eq=False)
 class _Ranking:
-    """The variants of a scenario.
+    """The variants of a scenario, as far as they were tried.
 
     Parameters
     ----------
@@ -111,298 +214,151 @@ class _Ranking:
         The scenario as it is.
     longest : float
         The longest delay to try [s].
+
+    Raises
+    ------
+    AssumptionError
+        If there is no theta, or none is identifiable.
     """
 
-    subject: DesignSubject
-    trial: Trial
-    longest: float
-    bound: Vector = field(init=False)
-    predictions: dict[_Variant, PredictedEstimate | str] = field(default_factory=dict, init=False)
-    omissions: dict[_Omission, list[Mapping[str, Any]]] = field(default_factory=dict, init=False)
-
-    def __post_init__(self) -> None:
-        accuracy = self.trial.bound()
-        self.bound = accuracy.standard_error
-        self.residual = accuracy.residual
-        if not len(self.bound):
+    def __init__(self, subject: DesignSubject, trial: Trial, longest: float) -> None:
+        self._subject = subject
+        self._trial = trial
+        self._longest = longest
+        accuracy = trial.bound()
+        self._bound = accuracy.standard_error
+        self._residual = accuracy.residual
+        if not len(self._bound):
             raise AssumptionError(
-                f"{self.subject.regressor}: the terms have no parameter, so there is no theta to "
+                f"{subject.regressor}: the terms have no parameter, so there is no theta to "
                 "design for"
             )
-        if not np.isfinite(self.bound).any():
+        if not np.isfinite(self._bound).any():
             raise AssumptionError(
-                f"{self.subject.scenario.name}: no choice makes theta identifiable from y: the "
+                f"{subject.scenario.name}: no choice makes theta identifiable from y: the "
                 "disturbance has no amplitude, or the run is too short"
             )
+        self._designs: list[RankedDesign] = []
+        self._omissions: dict[tuple[str, str, str], list[_Settings]] = {}
+        self._predicted = cache(self._prediction)
 
-    def all_of(self, *, with_input: bool) -> ExperimentDesign:
+    def design(self, *, with_input: bool) -> ExperimentDesign:
         """Return the designs of every choice."""
-        trial = self.trial
-        filters = self._filters()
-        designs = self._output_error("scenario", trial, (math.inf,))
-        designs += self._of_methods("scenario", trial.regression, trial.steps, {})
+        trial = self._trial
+        filters = list(self._filters())
+        self._add_output_error("scenario", trial)
+        self._add_methods("scenario", trial.regression, trial.steps)
+        known = {method: [trial.steps] for method in REGRESSION_METHODS}
         for method in REGRESSION_METHODS:
-            designs += self._delays(method)
-        designs += _best_first(self._as_they_are("filter", filters))
-        designs += _best_first(self._steps())
-        designs += self._output_error("window", trial, _WINDOWS)
+            steps = self._best_delays(trial, method, [trial.steps])
+            if steps is not None:
+                known[method].append(steps)
+                self._add_delays("delays", trial, steps, method)
+        for variant in filters:
+            self._add_methods("filter", variant.regression, variant.steps, variant.settings)
+        for variant in self._steps():
+            self._add_output_error("step", variant)
+            self._add_methods("step", variant.regression, variant.steps, variant.settings)
+        for part in _WINDOWS:
+            self._add_output_error("window", trial, round(part * trial.span, 9))
         for method in REGRESSION_METHODS:
-            designs += self._together(method, filters)
-        if with_input:
-            designs += _best_first(self._inputs())
-        covariance = trial.covariance
+            best, steps = self._together(method, [trial, *filters], known[method])
+            self._add_delays("together", best, steps, method, best.settings)
+        for factor in _INPUTS if with_input and trial.data.u.size else ():
+            settings = {"input": f"{factor:g} u"}
+            self._add_methods("input", trial.with_input(factor), trial.steps, settings)
+        self._designs.sort(key=_place)
+        omitted = []
+        for (choice, by, reason), settings_of in self._omissions.items():
+            omitted.append(
+                OmittedDesigns(choice=choice, method=by, settings=tuple(settings_of), reason=reason)
+            )
         return ExperimentDesign(
-            scenario=self.subject.scenario.name,
-            identifier=self.subject.identifier,
+            scenario=self._subject.scenario.name,
+            identifier=self._subject.identifier,
             theta=trial.regression.theta,
-            deviations=np.sqrt(np.diag(covariance)),
-            noise_source=self.subject.noise_source,
-            bound=self.bound,
-            designs=tuple(designs),
-            omitted=self._omitted(),
-            notes=tuple(self._notes(designs, with_input=with_input)),
+            deviations=np.sqrt(np.diag(trial.covariance)),
+            noise_source=self._subject.noise_source,
+            bound=self._bound,
+            designs=tuple(self._designs),
+            omitted=tuple(omitted),
+            notes=tuple(self._notes(with_input=with_input)),
         )
 
     # --- choices ---
 
-    def _delays(self, method: RegressionMethod) -> list[RankedDesign]:
-        steps = self._best_delays(self.trial, method, [self.trial.steps])
-        if steps is None:
-            return []
-        return self._ranked("delays", self.trial.regression, steps, method, {})
-
-    def _filters(self) -> list[Trial]:
-        """Return variants of the filter of delta."""
-        name = self.subject.observer
-        table = self.subject.scenario.tree["components"][name]
-        kept = {key: value for key, value in table.items() if key not in _FILTER_KEYS}
-        trials = []
-        for variant in (*self._rate_variants(), *self._window_variants()):
-            settings = {short(f"components.{name}.{key}"): value for key, value in variant.items()}
-            trials += self._tried("filter", settings, {name: {**kept, **variant}})
-        return trials
-
-    def _rate_variants(self) -> list[dict[str, Any]]:
-        """Return the keys of filters with a rate, from the fastest to the slowest."""
+    def _filters(self) -> Iterator[Trial]:
+        """Yield variants of the filter of delta: with a rate, then with a window."""
+        trial = self._trial
+        name = self._subject.observer
         variants: list[dict[str, Any]] = []
-        rate = _FASTEST / self.trial.step
-        while rate * self.trial.span >= _SLOWEST:
+        rate = _FASTEST / trial.step
+        while rate * trial.span >= _SLOWEST:
             for filter_name in ("first-order", "consistent"):
                 variants.append({"filter": filter_name, "filter_rate": float(f"{rate:.3g}")})
             rate /= math.sqrt(10.0)
         self._omit(
             "filter",
-            {f"{self.subject.observer}.filter_rate": float(f"{rate:.3g}")},
+            {f"{name}.filter_rate": float(f"{rate:.3g}")},
             f"not tried, nor slower ones: the run is shorter than {_SLOWEST:g} time constants",
         )
-        return variants
-
-    def _window_variants(self) -> list[dict[str, Any]]:
-        """Return the keys of filters with a window, from the shortest to the longest."""
-        variants: list[dict[str, Any]] = []
         for samples in _HALF_WIDTHS:
-            exact = samples * self.trial.step
-            half_width = round(exact, 9)
-            if exact > _WIDEST * self.trial.span:
-                self._omit(
-                    "filter",
-                    {f"{self.subject.observer}.half_width": half_width},
-                    f"not tried: the window exceeds {100.0 * 2.0 * _WIDEST:g} % of the run",
-                )
-                continue
-            variants.append(
-                {"filter": "savitzky-golay", "half_width": half_width, "order": DEFAULT_ORDER}
-            )
-        return variants
+            width = round(samples * trial.step, 9)
+            if samples * trial.step <= _WIDEST * trial.span:
+                window = {"filter": "savitzky-golay", "half_width": width, "order": DEFAULT_ORDER}
+                variants.append(window)
+            else:
+                reason = f"not tried: the window exceeds {100.0 * 2.0 * _WIDEST:g} % of the run"
+                self._omit("filter", {f"{name}.half_width": width}, reason)
+        table = self._subject.scenario.tree["components"][name]
+        kept = {key: value for key, value in table.items() if key not in _FILTER_KEYS}
+        for keys in variants:
+            settings = {short(f"components.{name}.{key}"): value for key, value in keys.items()}
+            yield from self._tried("filter", settings, {name: {**kept, **keys}})
 
-    def _steps(self) -> list[RankedDesign]:
-        designs = []
+    def _steps(self) -> Iterator[Trial]:
+        """Yield variants of the communication step."""
         for factor in _FACTORS:
-            h = float(f"{factor * self.trial.step:.12g}")
-            edits = {"scenario.step": h}
-            samples = self.trial.span / h
-            if not _FEWEST_SAMPLES <= samples <= _MOST_SAMPLES:
-                self._omit(
-                    "step",
-                    edits,
-                    f"not tried: expected {_FEWEST_SAMPLES} to {_MOST_SAMPLES} steps in the run",
-                )
-                continue
-            for trial in self._tried("step", edits):
-                designs += self._output_error("step", trial, (math.inf,))
-                designs += self._of_methods("step", trial.regression, trial.steps, edits)
-        return designs
+            h = float(f"{factor * self._trial.step:.12g}")
+            settings = {"scenario.step": h}
+            if _FEWEST_SAMPLES <= self._trial.span / h <= _MOST_SAMPLES:
+                yield from self._tried("step", settings)
+            else:
+                samples = f"{_FEWEST_SAMPLES} to {_MOST_SAMPLES}"
+                self._omit("step", settings, f"not tried: expected {samples} steps in the run")
 
-    def _together(self, method: RegressionMethod, filters: Iterable[Trial]) -> list[RankedDesign]:
+    def _tried(
+        self, choice: str, settings: _Settings, edits: _Settings | None = None
+    ) -> Iterator[Trial]:
+        """Yield a variant; none where the scenario refuses it."""
+        try:
+            yield trial_of(self._subject, settings, edits)
+        except CosimError as error:
+            reason = "; ".join(line.strip() for line in str(error).splitlines())
+            self._omit(choice, settings, reason)
+
+    def _together(
+        self, method: RegressionMethod, variants: Sequence[Trial], known: list[_Steps]
+    ) -> tuple[Trial, _Steps]:
         """Choose a filter, delays for it, and a filter for these."""
-        known = [self.trial.steps]
-        for design in self._delays(method):
-            delays = design.settings[f"{self.subject.regressor}.delays"]
-            known.append(tuple(round(delay / self.trial.step) for delay in delays))
-        variants = [self.trial, *filters]
 
-        def error(pair: tuple[Trial, tuple[int, ...]]) -> float:
-            trial, steps = pair
-            return self._error_of(trial.regression, steps, method)
+        def error(pair: tuple[Trial, _Steps]) -> float:
+            return self._error_of(pair[0].regression, pair[1], method)
 
         best, _ = min(product(variants, known), key=error)
         other = self._best_delays(best, method, known)
         if other is not None:
             known.append(other)
-        best, steps = min(product(variants, known), key=error)
-        return self._ranked("together", best.regression, steps, method, best.settings)
-
-    def _inputs(self) -> list[RankedDesign]:
-        designs = []
-        if not self.trial.data.u.size:
-            return []
-        for factor in _INPUTS:
-            regression = self.trial.with_input(factor)
-            settings = {"input": f"{factor:g} u"}
-            designs += self._of_methods("input", regression, self.trial.steps, settings)
-        return designs
-
-    # --- predictions ---
-
-    def _tried(
-        self, choice: str, settings: Mapping[str, Any], edits: Mapping[str, Any] | None = None
-    ) -> list[Trial]:
-        """Return a variant; none where the scenario refuses it."""
-        try:
-            return [trial_of(self.subject, settings, edits)]
-        except CosimError as error:
-            reason = "; ".join(line.strip() for line in str(error).splitlines())
-            self._omit(choice, settings, reason)
-            return []
-
-    def _omit(
-        self, choice: str, settings: Mapping[str, Any], reason: str, method: str = ""
-    ) -> None:
-        """Keep what a choice sets and why it has no error to be expected."""
-        same = self.omissions.setdefault((choice, method, reason), [])
-        if settings not in same:
-            same.append(settings)
-
-    def _omitted(self) -> tuple[OmittedDesigns, ...]:
-        return tuple(
-            OmittedDesigns(choice=choice, method=method, settings=tuple(settings), reason=reason)
-            for (choice, method, reason), settings in self.omissions.items()
-        )
-
-    def _as_they_are(self, choice: str, trials: Iterable[Trial]) -> list[RankedDesign]:
-        designs = []
-        for trial in trials:
-            designs += self._of_methods(choice, trial.regression, trial.steps, trial.settings)
-        return designs
-
-    def _of_methods(
-        self,
-        choice: str,
-        regression: RegressionExperiment,
-        steps: tuple[int, ...],
-        settings: Mapping[str, Any],
-    ) -> list[RankedDesign]:
-        designs = []
-        for method in REGRESSION_METHODS:
-            predicted = self._predicted(regression, steps, method)
-            designs += self._designed(choice, settings, method, predicted)
-        return designs
-
-    def _designed(
-        self,
-        choice: str,
-        settings: Mapping[str, Any],
-        method: str,
-        predicted: PredictedEstimate | str,
-    ) -> list[RankedDesign]:
-        """Return a design where it has an error to be expected; of the scenario in any case."""
-        reason = predicted if isinstance(predicted, str) else _UNDETERMINED
-        if isinstance(predicted, str):
-            predicted = _no_estimate(len(self.bound))
-        designed = RankedDesign(
-            choice=choice,
-            settings=settings,
-            method=method,
-            bias=predicted.bias,
-            standard_error=predicted.standard_error,
-            error=predicted.error,
-            ratio=self._ratio(predicted),
-        )
-        if math.isfinite(designed.ratio):
-            return [designed]
-        self._omit(choice, settings, reason, method)
-        return [designed] if choice == "scenario" else []
-
-    def _ranked(
-        self,
-        choice: str,
-        regression: RegressionExperiment,
-        steps: tuple[int, ...],
-        method: RegressionMethod,
-        settings: Mapping[str, Any],
-    ) -> list[RankedDesign]:
-        predicted = self._predicted(regression, steps, method)
-        delays = [round(count * regression.step, 9) for count in steps]
-        chosen = {**settings, f"{self.subject.regressor}.delays": delays}
-        return self._designed(choice, chosen, method, predicted)
-
-    def _output_error(
-        self, choice: str, trial: Trial, windows: Iterable[float]
-    ) -> list[RankedDesign]:
-        """Return the designs of output error, which reaches the bound."""
-        designs = []
-        for part in windows:
-            window = round(part * trial.span, 9)
-            settings = dict(trial.settings)
-            if math.isfinite(window):
-                settings[f"{self.subject.identifier}.window"] = window
-            predicted = _of_bound(trial, window)
-            designs += self._designed(choice, settings, OUTPUT_ERROR, predicted)
-        return designs
-
-    def _predicted(
-        self, regression: RegressionExperiment, steps: tuple[int, ...], method: RegressionMethod
-    ) -> PredictedEstimate | str:
-        """Return what a method is to find, or why it finds nothing."""
-        key = (regression, steps, method)
-        if key not in self.predictions:
-            self.predictions[key] = self._computed(*key)
-        return self.predictions[key]
-
-    def _computed(
-        self, regression: RegressionExperiment, steps: tuple[int, ...], method: RegressionMethod
-    ) -> PredictedEstimate | str:
-        try:
-            if method == "rayleigh":
-                return regression.rayleigh(steps)
-            return regression.least_squares(steps, P0=self.subject.identifier_kind.P0)
-        except AssumptionError as error:
-            return str(error)
-
-    def _ratio(self, predicted: PredictedEstimate) -> float:
-        is_known = np.isfinite(self.bound)
-        return float(np.max(predicted.error[is_known] / self.bound[is_known]))
-
-    def _error_of(
-        self, regression: RegressionExperiment, steps: tuple[int, ...], method: RegressionMethod
-    ) -> float:
-        predicted = self._predicted(regression, steps, method)
-        if isinstance(predicted, str):
-            return math.inf
-        ratio = self._ratio(predicted)
-        return ratio if math.isfinite(ratio) else math.inf
+        return min(product(variants, known), key=error)
 
     def _best_delays(
-        self,
-        trial: Trial,
-        method: RegressionMethod,
-        starts: Sequence[tuple[int, ...]],
-    ) -> tuple[int, ...] | None:
+        self, trial: Trial, method: RegressionMethod, starts: Sequence[_Steps]
+    ) -> _Steps | None:
         try:
             search = search_delays(
                 lambda steps: self._error_of(trial.regression, steps, method),
                 count=trial.regression.delays_needed,
-                longest=math.floor(self.longest / trial.step + 1e-9),
+                longest=math.floor(self._longest / trial.step + 1e-9),
                 starts=starts,
             )
         except AssumptionError as error:
@@ -410,81 +366,141 @@ class _Ranking:
             return None
         return search.steps
 
+    # --- what is to be expected of them ---
+
+    def _prediction(
+        self, regression: RegressionExperiment, steps: _Steps, method: RegressionMethod
+    ) -> PredictedEstimate | str:
+        """Return what a method is to find, or why it finds nothing."""
+        identifier = self._subject.scenario.specs[self._subject.identifier]
+        assert isinstance(identifier, IdentifierKind)
+        try:
+            if method == "rayleigh":
+                return regression.rayleigh(steps)
+            return regression.least_squares(steps, P0=identifier.P0)
+        except AssumptionError as error:
+            return str(error)
+
+    def _ratio(self, error: Vector) -> float:
+        is_known = np.isfinite(self._bound)
+        return float(np.max(error[is_known] / self._bound[is_known]))
+
+    def _error_of(
+        self, regression: RegressionExperiment, steps: _Steps, method: RegressionMethod
+    ) -> float:
+        predicted = self._predicted(regression, steps, method)
+        ratio = math.inf if isinstance(predicted, str) else self._ratio(predicted.error)
+        return ratio if math.isfinite(ratio) else math.inf
+
+    def _add(
+        self, choice: str, settings: _Settings, method: str, predicted: PredictedEstimate | str
+    ) -> None:
+        """Keep a design if it has an error to be expected; that of the scenario in any case."""
+        reason = _UNDETERMINED
+        if isinstance(predicted, str):
+            reason = predicted
+            count = len(self._bound)
+            predicted = PredictedEstimate(np.full(count, np.inf), np.zeros((count, count)))
+        ratio = self._ratio(predicted.error)
+        if not math.isfinite(ratio):
+            self._omit(choice, settings, reason, method)
+        if math.isfinite(ratio) or choice == "scenario":
+            ranked = RankedDesign(
+                choice=choice,
+                settings=settings,
+                method=method,
+                bias=predicted.bias,
+                standard_error=predicted.standard_error,
+                error=predicted.error,
+                ratio=ratio,
+            )
+            self._designs.append(ranked)
+
+    def _omit(self, choice: str, settings: _Settings, reason: str, method: str = "") -> None:
+        """Keep what a choice sets and why it has no error to be expected."""
+        same = self._omissions.setdefault((choice, method, reason), [])
+        if settings not in same:
+            same.append(settings)
+
+    def _add_methods(
+        self,
+        choice: str,
+        regression: RegressionExperiment,
+        steps: _Steps,
+        settings: _Settings | None = None,
+    ) -> None:
+        for method in REGRESSION_METHODS:
+            self._add(choice, settings or {}, method, self._predicted(regression, steps, method))
+
+    def _add_delays(
+        self,
+        choice: str,
+        trial: Trial,
+        steps: _Steps,
+        method: RegressionMethod,
+        settings: _Settings | None = None,
+    ) -> None:
+        delays = [round(count * trial.step, 9) for count in steps]
+        chosen = {**(settings or {}), f"{self._subject.regressor}.delays": delays}
+        self._add(choice, chosen, method, self._predicted(trial.regression, steps, method))
+
+    def _add_output_error(self, choice: str, trial: Trial, window: float = math.inf) -> None:
+        """Add output error, which reaches the bound, from the last seconds of y."""
+        settings = dict(trial.settings)
+        if math.isfinite(window):
+            settings[f"{self._subject.identifier}.window"] = window
+        predicted: PredictedEstimate | str
+        try:
+            covariance = trial.bound(window).covariance
+            predicted = PredictedEstimate(np.zeros(len(covariance)), covariance)
+        except AssumptionError as error:
+            predicted = str(error)
+        self._add(choice, settings, OUTPUT_ERROR, predicted)
+
     # --- words ---
 
-    def _notes(self, designs: Sequence[RankedDesign], *, with_input: bool) -> list[str]:
-        notes = [
+    def _notes(self, *, with_input: bool) -> Iterator[str]:
+        yield (
             "output error needs neither delays nor filter: the estimators on the regression "
             "use them, and only initialize it"
-        ]
+        )
         for method in REGRESSION_METHODS:
-            notes += self._note_on_delays(designs, method)
-        if self.residual > _MODEL_ERROR:
-            notes.append(
-                f"the design model leaves {self.residual:.2g} of noise-free y unexplained: the "
+            own = [design for design in self._designs if design.method == method]
+            first = {design.choice: design for design in reversed(own)}
+            if "delays" in first:
+                best = min(design.ratio for design in own)
+                before, after = first["scenario"].ratio, first["delays"].ratio
+                yield f"{method}: {self._note_on_delays(before, after, best)}"
+        if self._residual > _MODEL_ERROR:
+            yield (
+                f"the design model leaves {self._residual:.2g} of noise-free y unexplained: the "
                 "predictions hold for a plant that matches it"
             )
-        for j in np.flatnonzero(~np.isfinite(self.bound)):
-            notes.append(f"theta[{j}] is not identifiable from y, and is left out of the ratio")
-        if with_input:
-            notes.append(self._note_on_input())
-        return notes
+        for j in np.flatnonzero(~np.isfinite(self._bound)):
+            yield f"theta[{j}] is not identifiable from y, and is left out of the ratio"
+        if with_input and not self._trial.data.u.size:
+            yield "input: the design model has no input"
+        elif with_input:
+            yield (
+                "input: no input changes the bound, since the response of a linear plant to a "
+                "known u is known and subtracted; through the filter a fraction of u "
+                f"({self._trial.leakage:.2g} here) leaks into delta hat, which biases the "
+                "estimators on the regression"
+            )
 
-    def _note_on_delays(
-        self, designs: Sequence[RankedDesign], method: RegressionMethod
-    ) -> list[str]:
-        by_choice = {
-            design.choice: design for design in reversed(designs) if design.method == method
-        }
-        if not {"scenario", "delays"} <= by_choice.keys():
-            return []
-        before = by_choice["scenario"]
-        after = by_choice["delays"]
-        listed = ", ".join(f"{delay:g}" for delay in self.subject.regressor_kind.delays)
-        best = min(design.ratio for design in designs if design.method == method)
-        if not math.isfinite(before.ratio):
-            return [
-                f"{method}: no estimate with the delays ({listed}); the best choice stays at "
-                f"{best:.3g} times the bound, which output error reaches"
-            ]
-        if not after.ratio < before.ratio:
-            return [f"{method}: no delays are better than ({listed})"]
-        return [
-            f"{method}: the delays ({listed}) are not the best; others have "
-            f"{before.ratio / after.ratio:.3g} times less error, and the best choice stays at "
-            f"{best:.3g} times the bound, which output error reaches"
-        ]
-
-    def _note_on_input(self) -> str:
-        if not self.trial.data.u.size:
-            return "input: the design model has no input"
+    def _note_on_delays(self, before: float, after: float, best: float) -> str:
+        listed = ", ".join(f"{delay:g}" for delay in self._trial.delays)
+        reached = f"the best choice stays at {best:.3g} times the bound, which output error reaches"
+        if not math.isfinite(before):
+            return f"no estimate with the delays ({listed}); {reached}"
+        if not after < before:
+            return f"no delays are better than ({listed})"
         return (
-            "input: no input changes the bound, since the response of a linear plant to a known "
-            "u is known and subtracted; through the filter a fraction of u "
-            f"({self.trial.leakage:.2g} here) leaks into delta hat, which biases the estimators "
-            "on the regression"
+            f"the delays ({listed}) are not the best; others have {before / after:.3g} times less "
+            f"error, and {reached}"
         )
 
 
-def _of_bound(trial: Trial, window: float) -> PredictedEstimate | str:
-    """Return what output error is to find from the last seconds of y, or why it finds nothing."""
-    try:
-        covariance = trial.bound(window).covariance
-    except AssumptionError as error:
-        return str(error)
-    return PredictedEstimate(np.zeros(len(covariance)), covariance)
-
-
-def _no_estimate(parameters: int) -> PredictedEstimate:
-    """Return what is predicted of an estimator that finds no theta."""
-    return PredictedEstimate(np.full(parameters, np.inf), np.zeros((parameters, parameters)))
-
-
-def _best_first(designs: Sequence[RankedDesign]) -> list[RankedDesign]:
-    """Return the best designs of every method, the best first."""
-    methods = (OUTPUT_ERROR, *REGRESSION_METHODS)
-    ordered = []
-    for method in methods:
-        own = [design for design in designs if design.method == method]
-        ordered += sorted(own, key=lambda design: design.ratio)
-    return ordered
+def _place(design: RankedDesign) -> tuple[int, int, float]:
+    """Return where a design stands: the best of a choice and a method first."""
+    return _CHOICES.index(design.choice), _METHODS.index(design.method), design.ratio

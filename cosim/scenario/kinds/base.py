@@ -476,10 +476,8 @@ class BuildContext(CodeLoading):
             if record is not None and record.file == path:
                 self.model_records[name] = plain(record)
                 return record.arrays
-        from cosim.scenario.data_files.model_file import (  # rarely needed
-            missing_text,
-            read_model_file,
-        )
+        # rarely needed
+        from cosim.scenario.data_files.mat_file import missing_text, read_model_file
 
         content = read_model_file(self.file(path), LETTERS)
         missing = [letter for letter in ("A", "C") if letter not in content.matrices]

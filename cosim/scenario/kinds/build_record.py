@@ -13,12 +13,12 @@ from cosim.arguments import check_path
 from cosim.core.recording import Recording
 from cosim.errors import UsageError, option, quoted
 from cosim.files import expanded
-from cosim.scenario.kinds.identified_plant import IdentifiedPlant
 
 if TYPE_CHECKING:
     from cosim.fmi.component import Fmu
     from cosim.fmi.driving.model_exchange import ModelExchange
     from cosim.fmi.unpacked import UnpackedFmus
+    from cosim.scenario.kinds.identified_plant import IdentifiedPlant
 
 T = TypeVar("T")
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
-from typing import ClassVar, Final, Literal, NamedTuple
+from typing import ClassVar, Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from pydantic import Field
@@ -15,7 +15,7 @@ from cosim.arrays import Matrix, Vector
 from cosim.blocks.compensator import Compensator, CompensatorOptions
 from cosim.core.clock import Clock
 from cosim.core.contracts import Component
-from cosim.core.port import Port
+from cosim.core.port import ElementIndex, Port
 from cosim.documents import plain
 from cosim.errors import UsageError
 from cosim.native.estimation.alphas import Alpha, AlphaSignal
@@ -76,8 +76,7 @@ class CompensatorKind(Kind):
         'strings: ["-3+2j", "-3-2j"]',
     )
     Q: NumberRow | NumberRows | None = Field(
-        None,
-        description="LQR weight of x_a, or of x: diagonal, or matrix",
+        None, description="LQR weight of x_a, or of x: diagonal, or matrix"
     )
     R: NumberRow | NumberRows | None = Field(
         None, description="LQR weight of u: diagonal, or matrix; default: identity"
@@ -259,7 +258,8 @@ class CompensatorKind(Kind):
         terms = []
         if self.terms is not None:
             families = [term.generator() for term in self.terms]
-            terms = class_terms(families, unchecked([term.alpha for term in self.terms]))
+            alphas = unchecked([term.alpha for term in self.terms])
+            terms = _class_terms(name, families, alphas)
         elif driver is not None and isinstance(context.spec(driver), IdentifierKind):
             terms = _identified_terms(driver, context)
         for term in terms if self.internal_model else ():
@@ -420,61 +420,42 @@ def _array(name: str, given: NumberRow | NumberRows | None) -> Matrix | Vector |
 
 @dataclass(frozen=True, eq=False)
 class ClassTerm:
-    """A term of a disturbance class.
+    """A term of a disturbance class, of a component; ``label`` is such as ``terms[0] (sine)``."""
 
-    Parameters
-    ----------
-    label : str
-        For messages, such as ``terms[0] (sine)``.
-    family : Family
-    alpha : Alpha
-    """
-
+    component: str
     label: str
     family: Family
     alpha: Alpha
 
-
-class _TermParameter(NamedTuple):
-    """A parameter of a term of a component: an element of theta."""
-
-    component: str
-    term: ClassTerm
-    name: str
-
     def __str__(self) -> str:
-        return f"{self.name!r} of {self.term.label} of {self.component!r}"
+        return f"{self.label} of {self.component!r}"
 
 
-def class_terms(families: Sequence[Family], alphas: Sequence[Alpha]) -> list[ClassTerm]:
-    """Return the terms of families and their known factors."""
+_Parameter: TypeAlias = tuple[ClassTerm, str]  # of a term, by its name
+
+
+def _class_terms(
+    component: str, families: Sequence[Family], alphas: Sequence[Alpha]
+) -> list[ClassTerm]:
     terms = []
     for i, (family, alpha) in enumerate(zip(families, alphas, strict=True)):
-        terms.append(ClassTerm(f"terms[{i}] ({family.name})", family, alpha))
+        terms.append(ClassTerm(component, f"terms[{i}] ({family.name})", family, alpha))
     return terms
 
 
 def _identified_terms(identifier: str, context: BuildContext) -> list[ClassTerm]:
     regression = IdentifierSource(identifier, context).regression
-    return class_terms(regression.families, regression.alphas)
+    return _class_terms(identifier, regression.families, regression.alphas)
 
 
-def _parameters(component: str, terms: Sequence[ClassTerm]) -> list[_TermParameter]:
+def _parameters(terms: Sequence[ClassTerm], element: ElementIndex = None) -> list[_Parameter]:
+    """Return terms and names of the parameters in a theta, or in elements of it."""
     parameters = []
     for term in terms:
-        parameters += [_TermParameter(component, term, name) for name in term.family.parameters]
-    return parameters
-
-
-def _taken(source: Port, terms: Sequence[ClassTerm]) -> list[_TermParameter]:
-    """Return the parameters that an output theta, or elements of it, are."""
-    parameters = _parameters(source.component, terms)
-    match source.element:
-        case int(index):
-            return parameters[index : index + 1]
-        case range() as indices:
-            return parameters[indices.start : indices.stop]
-    return parameters
+        parameters += [(term, name) for name in term.family.parameters]
+    if isinstance(element, int):
+        return parameters[element : element + 1]
+    return parameters if element is None else parameters[element.start : element.stop]
 
 
 def check_meaning(name: str, terms: Sequence[ClassTerm], context: BuildContext) -> None:
@@ -491,34 +472,36 @@ def check_meaning(name: str, terms: Sequence[ClassTerm], context: BuildContext) 
     """
     sources = context.sources(Port(name, "theta"))
     identified: dict[str, list[ClassTerm]] = {}
-    taken: list[_TermParameter] = []
+    taken: list[_Parameter] = []
     for source in sources:
         identifier = source.component
         if source.signal != "theta" or not isinstance(context.spec(identifier), IdentifierKind):
             return
         if identifier not in identified:
             identified[identifier] = _identified_terms(identifier, context)
-        taken += _taken(source, identified[identifier])
-    own = _parameters(name, terms)
+        taken += _parameters(identified[identifier], source.element)
+    own = _parameters(terms)
     if len(own) != len(taken):
         return  # sizes that differ are refused with the connections
-    for j, (target, parameter) in enumerate(zip(own, taken, strict=True)):
-        _check_parameter(f"theta[{j}]", target, parameter, context)
-    used = {parameter.term for parameter in taken}
-    for identifier, others in identified.items():
+    for j, (target, source_parameter) in enumerate(zip(own, taken, strict=True)):
+        _check_parameter(f"theta[{j}]", target, source_parameter, context)
+    used = {term for term, _ in taken}
+    for others in identified.values():
         for other in others:
             is_made = any(_includes(term.family, other.family) for term in terms)
             if other in used or (is_made and not _varies(other.alpha, context.clock)):
                 continue
             context.warn(
                 name,
-                f"{other.label} of {identifier!r} is not in the internal model, which does not "
-                "reject what that term makes",
+                f"{other} is not in the internal model, which does not reject what that term makes",
             )
 
 
 def _check_parameter(
-    element: str, target: _TermParameter, source: _TermParameter, context: BuildContext
+    element: str,
+    target: tuple[ClassTerm, str],
+    source: tuple[ClassTerm, str],
+    context: BuildContext,
 ) -> None:
     """Check that an element of theta is taken as the parameter that it is.
 
@@ -527,26 +510,27 @@ def _check_parameter(
     UsageError
         If it is taken as another one, or its alpha varies.
     """
-    origin = f"{element} is {source}"
-    is_any = isinstance(target.term.family, LinearFamily)
-    if _varies(source.term.alpha, context.clock):
-        varying = f"{origin}, whose alpha = {source.term.alpha.text!r} varies"
+    own, own_name = target
+    term, name = source
+    origin = f"{element} is {name!r} of {term}"
+    is_any = isinstance(own.family, LinearFamily)
+    if _varies(term.alpha, context.clock):
+        varying = f"{origin}, whose alpha = {term.alpha.text!r} varies"
         if not is_any:
             raise UsageError(
                 f"terms: {varying}; the internal model requires a constant alpha; expected a "
                 'term of family = "linear" that describes both together, or internal_model = '
                 "false with feedforward = true"
             )
-        context.warn(target.component, f"{varying}; {target.term.label} has to make both together")
-        return
-    if target.term.family == source.term.family and target.name == source.name:
-        return
-    as_other = f"{origin}, and is taken as {target}"
-    if not is_any and target.name != source.name:
-        raise UsageError(
-            f"terms: {as_other}; expected the terms of {source.component!r} (the default)"
-        )
-    context.warn(target.component, f"{as_other}; the internal model rejects what that term makes")
+        context.warn(own.component, f"{varying}; {own.label} has to make both together")
+    elif (own.family, own_name) != (term.family, name):
+        as_other = f"{origin}, and is taken as {own_name!r} of {own}"
+        if not is_any and own_name != name:
+            raise UsageError(
+                f"terms: {as_other}; expected the terms of {term.component!r} (the default)"
+            )
+        text = f"{as_other}; the internal model rejects what that term makes"
+        context.warn(own.component, text)
 
 
 def _includes(family: Family, other: Family) -> bool:

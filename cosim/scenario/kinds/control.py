@@ -75,8 +75,7 @@ class SensorKind(PeriodicKind, HasSamples):
         None, description=f"upper limit of y{EACH}; default: none"
     )
     resolution: Number | NumberRow | None = Field(
-        None,
-        description=f"quantization step of y{EACH}; default: none",
+        None, description=f"quantization step of y{EACH}; default: none"
     )
     bits: Whole | None = Field(
         None,

@@ -27,8 +27,14 @@ from cosim.core.signals import SAMPLE_TIMES, Interface, PortUnit, samples_of
 from cosim.errors import UsageError
 from cosim.instants import StepNs
 from cosim.native.step import LARGEST_MEMORY
-from cosim.scenario.data_files.field_file import field_data, listed_columns
-from cosim.scenario.data_files.recorded_fields import MCAP, check_asked, read_samples, recorded_data
+from cosim.scenario.data_files.field_file import (
+    MCAP,
+    check_asked,
+    field_data,
+    listed_columns,
+    read_samples,
+    recorded_data,
+)
 from cosim.scenario.data_files.table import FieldForm
 from cosim.scenario.document.schema import Number, UnitName, Whole
 from cosim.scenario.kinds.base import BuildContext
@@ -103,9 +109,7 @@ class FieldDataKind(TableKeys, PlantKind, DecidedByStep, HasSamples, RenamesMore
     )
 
     places: Whole | None = Field(
-        None,
-        gt=0,
-        description="most samples per communication step; default: as found in the file",
+        None, gt=0, description="most samples per communication step; default: as found in the file"
     )
 
     @property
@@ -220,14 +224,9 @@ class FieldDataKind(TableKeys, PlantKind, DecidedByStep, HasSamples, RenamesMore
     @property
     def field_form(self) -> FieldForm:
         """What is given of the samples and their file."""
-        return FieldForm(
-            time=self.time,
-            time_unit=self.time_unit,
-            offset=self.offset,
-            same_time=self.same_time,
-            columns=self.columns,
-            table=replace(self.form, missing=self.missing),
-        )
+        keys = ("time", "time_unit", "offset", "same_time", "columns")
+        given = {key: getattr(self, key) for key in keys}
+        return FieldForm(**given, table=replace(self.form, missing=self.missing))
 
     def fields(self, mapped: Sequence[Port]) -> dict[str, list[str]]:
         """Return the fields of an MCAP by output: those of ``columns``, and what a map names."""

@@ -49,6 +49,7 @@ from cosim.scenario.kinds.identification_source import (
     ObserverSource,
     StartTable,
     sample_connections,
+    sampled_behind,
     start_time,
 )
 from cosim.scenario.kinds.identified_plant import (
@@ -105,10 +106,12 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
     )
     window: Number | None = Field(
         None,
+        gt=0.0,
         description="output-error, projection: length of a moving window [s]; default: all samples",
     )
     forgetting: Number | None = Field(
         None,
+        gt=0.0,
         description="output-error, drem: time constant of exponential forgetting [s]; default: "
         f"none; drem: {defaults.DREM_FORGETTING:g}",
     )
@@ -207,8 +210,14 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
             source.regression.check_independent(context.clock)
         begin = start_time(self.start, source, context)
         problem = source.missing_model()
-        for note in source.unchecked(is_judged=not problem):
-            context.warn(name, note)
+        unknown = ", ".join(repr(alpha.text) for alpha in source.regression.known.unknown)
+        if unknown and len(source.regression.groups) > 1:
+            when = "nowhere, as no model of y is there to judge by" if problem else "at its end"
+            context.warn(
+                name,
+                f"alpha {unknown}: only the run computes it, so that the products of the alphas "
+                f"are checked for independence {when}",
+            )
         identified = None if problem else self._identified(source, context)
         if self.method in ("least-squares", "gradient", "drem"):
             return self._on_regression(source, begin, context), {}
@@ -224,7 +233,7 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
         assert observer is not None
         design = source.regression
         is_output_error = self.method == "output-error"
-        sampled_by = observer.sampled_by
+        sampled_by = sampled_behind(Port(observer.name, "y"), context)
         problem = ""
         if not is_output_error and sampled_by is not None:
             problem = (
@@ -240,7 +249,7 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
         if self.bounds is not None:
             parameters = sum(len(family.parameters) for family in design.families)
             bounds = bounds_of([list(row) for row in self.bounds], parameters)
-        source.check_distinguishable(bounds)
+        source.kind.check_distinguishable(context, bounds)
         identified = IdentifiedPlant(
             problem=problem,
             observer=observer.name,
@@ -322,6 +331,7 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
         schedule = self._schedule(source, begin, context)
         lower, upper = identified.limits
         if self.method == "output-error":
+            samplers = source.samplers.values()
             identifier = OutputErrorIdentifier(
                 problem.within(lower, upper),
                 schedule,
@@ -329,9 +339,9 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
                 lower=lower,
                 upper=upper,
                 most=source.most_samples(),
-                at_points=source.samples_at_points(),
+                at_points=all(kind.samples_at_points for kind in samplers),
             )
-            late = source.late_steps()
+            late = max((kind.late_steps(context) for kind in samplers), default=0)
             if not late:
                 return Estimator(identifier)
             from cosim.blocks.late_samples import LateSamples
@@ -443,10 +453,6 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
                 raise UsageError(f"{key}: not an option of method {self.method!r}{listed}")
         if self.window is not None and self.forgetting is not None:
             raise UsageError("expected at most one of window and forgetting, got both")
-        for key in ("window", "forgetting"):
-            value = getattr(self, key)
-            if value is not None and not 0.0 < value < math.inf:
-                raise UsageError(f"{key}: expected a positive finite time, got {value} s")
 
     def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
         from cosim.blocks.identifier import LeastSquaresMethod

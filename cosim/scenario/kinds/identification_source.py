@@ -60,11 +60,6 @@ class ObserverSource:
         """How it makes delta."""
         return self.kind.reconstruction(self.name, self.context)
 
-    @property
-    def sampled_by(self) -> str | None:
-        """The component between whose samples its y has values, too; None: there is none."""
-        return _sampled_behind(Port(self.name, "y"), self.context)
-
     def units(self, interface: Interface) -> dict[str, PortUnit]:
         """Return the units of the signals that are taken where the observer takes them."""
         named: dict[str, PortUnit] = {}
@@ -91,6 +86,7 @@ class IdentifierSource:
     Attributes
     ----------
     identifier, regressor : str
+    kind : RegressorKind
     regression : RegressorDesign
     observer : ObserverSource or None
         None: what drives the regressor is no observer, or several.
@@ -111,10 +107,10 @@ class IdentifierSource:
             )
         self.identifier = identifier
         self.regressor = name
+        self.kind = kind
         self.regression = kind.design(name, context)
         self.observer: ObserverSource | None = None
         self._context = context
-        self._kind = kind
         observer = context.driver(Port(name, "delta"))
         kind_of_observer = None if observer is None else context.spec(observer)
         if observer is not None and isinstance(kind_of_observer, UnknownInputObserverKind):
@@ -139,34 +135,6 @@ class IdentifierSource:
         known = self.regression.known
         if known.names:
             check_step(known, known.names, start=clock.start_time, stop=clock.stop, h=clock.h)
-
-    def check_distinguishable(self, bounds: Mapping[int, tuple[float, float]]) -> None:
-        """Check that within bounds of theta no two terms say the same.
-
-        Raises
-        ------
-        AssumptionError
-            If two do.
-        """
-        self._kind.check_distinguishable(self._context, bounds)
-
-    def unchecked(self, *, is_judged: bool) -> list[str]:
-        """Return what cannot be checked of the alphas before the run.
-
-        Parameters
-        ----------
-        is_judged : bool
-            Whether the estimates are judged at its end.
-        """
-        unknown = self.regression.known.unknown
-        if not unknown or len(self.regression.groups) < 2:
-            return []
-        names = ", ".join(repr(alpha.text) for alpha in unknown)
-        when = "at its end" if is_judged else "nowhere, as no model of y is there to judge by"
-        return [
-            f"alpha {names}: only the run computes it, so that the products of the alphas are "
-            f"checked for independence {when}"
-        ]
 
     def missing_model(self) -> str:
         """Return why there is no model of y that output error can fit; empty: there is one."""
@@ -202,7 +170,7 @@ class IdentifierSource:
     # --- samples of y ---
 
     @property
-    def _samplers(self) -> dict[str, HasSamples]:
+    def samplers(self) -> dict[str, HasSamples]:
         """What drives the input with the samples of y."""
         drivers = self._context.drivers(Port(self.identifier, "samples"))
         return {name: kind for name, kind in drivers.items() if isinstance(kind, HasSamples)}
@@ -215,11 +183,11 @@ class IdentifierSource:
         UsageError
             If y has values between samples, and these do not reach the identifier.
         """
-        samplers = self._samplers.items()
+        samplers = self.samplers.items()
         most = [kind.most_in_a_step(name, self._context) for name, kind in samplers]
         if any(most):
             return max(most)
-        sampled = _sampled_behind(Port(self.identifier, "y"), self._context)
+        sampled = sampled_behind(Port(self.identifier, "y"), self._context)
         if sampled is not None:
             raise UsageError(
                 f"y is interpolated between the samples of {sampled!r}; expected y directly from "
@@ -227,14 +195,6 @@ class IdentifierSource:
                 "gain, so that the samples themselves can be used"
             )
         return 0
-
-    def samples_at_points(self) -> bool:
-        """Return whether all samples of y are of communication points."""
-        return all(kind.samples_at_points for kind in self._samplers.values())
-
-    def late_steps(self) -> int:
-        """Return how many communication steps after its instant a sample of y may come."""
-        return max((kind.late_steps(self._context) for kind in self._samplers.values()), default=0)
 
 
 def sample_connections(
@@ -280,7 +240,7 @@ def sample_connections(
     }
 
 
-def _sampled_behind(to: Port, context: BuildContext) -> str | None:
+def sampled_behind(to: Port, context: BuildContext) -> str | None:
     """Return the field data that an input follows, or a sensor with samples that drives it.
 
     None: there is none.

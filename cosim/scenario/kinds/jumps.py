@@ -97,6 +97,18 @@ def _holds_value_after(jump: Jump, point: float) -> bool:
     return value == evaluate(compile_expression(jump.remedy), point + 1.0)
 
 
+def seen_late(what: str, discrete: bool, way_out: str) -> str:
+    """Return what is to be known of an output that jumps with what is interpolated linearly.
+
+    ``discrete`` says that it holds its value over a step, ``way_out`` what can be done if not.
+    """
+    shown = "that shows at the second, an error of first order in the step"
+    if not discrete:
+        ramp = "the jump becomes a ramp over that step, an error of first order in the step"
+        shown = f"{ramp}; {way_out}"
+    return f"{what}: between two communication points {shown}"
+
+
 def check_finite(text: str, clock: Clock) -> None:
     """Check that an expression is finite at the communication points; else raise UsageError."""
     program = compile_expression(text)

@@ -52,7 +52,7 @@ from cosim.scenario.kinds.values import LinearSystem, Spectrum
 from cosim.scenario.kinds.variants import foreign_keys, variants_with
 from cosim.theory.observers import observer
 from cosim.theory.observers.assumptions import plain_modes
-from cosim.theory.plants.descriptor import MATRICES, ReducedSystem, UserCoordinates, reduce
+from cosim.theory.plants.descriptor import MATRICES, ReducedSystem, reduce
 from cosim.theory.reconstruction.filters import (
     HIGHEST_ORDER,
     ConsistentFilter,
@@ -185,8 +185,7 @@ class UnknownInputObserverKind(
         if self.filter != "auto":
             return table
         window = metadata["choice"]["result"]
-        of_auto = ("noise", "noise_from", "amplitude", "bandwidth")
-        kept = {key: value for key, value in table.items() if key not in of_auto}
+        kept = {key: value for key, value in table.items() if key not in FILTERS["auto"].own}
         half_width = step_seconds(window["half_width_steps"] * step_ns)
         chosen = {"filter": "savitzky-golay", "half_width": half_width, "order": window["order"]}
         return {**kept, **chosen}
@@ -199,13 +198,22 @@ class UnknownInputObserverKind(
     def build(self, name: str, context: BuildContext) -> Component:
         model, design = self.design(name, context)
         reconstruction = self.reconstruction(name, context)
-        self._record(name, context, model, design, reconstruction)
+        metadata: dict[str, Any] = {
+            "eigenvalues": plain_modes(design.eigenvalues),
+            "fixed_modes": plain_modes(design.fixed_modes),
+            "lambda_obs": design.lambda_obs,
+            "reconstruction": plain_reconstruction(reconstruction),
+        }
+        for key, held in (("noise_gain", False), ("noise_gain_held", True)):
+            gains = noise_gains(model.reduced, design, reconstruction, h=context.h, held=held)
+            metadata[key] = gains.ravel().tolist()
+        if reconstruction.lag:
+            metadata["lags"] = dict.fromkeys(_lagging_outputs(model), reconstruction.lag)
+        context.add_metadata(name, metadata)
         if model.reduced.inaccuracy:
             context.warn(name, model.reduced.inaccuracy)
         if self.relinearize:
             return self._relinearized(name, context)
-        if isinstance(reconstruction, AveragedReconstruction):
-            return self._averaging(model, design, reconstruction)
         useless = [key for key in ("filter_rate", "q0") if getattr(self, key) is not None]
         if useless and isinstance(reconstruction, DirectReconstruction):
             context.warn(
@@ -213,7 +221,24 @@ class UnknownInputObserverKind(
                 f"{' and '.join(useless)}: without effect, as delta follows from y directly, "
                 "without a derivative that is to be filtered; leave it out",
             )
-        return Linear(self._filter_model(model, design))
+        return self._fixed(name, context)
+
+    def _fixed(self, name: str, context: BuildContext) -> Linear | Windowed | Smoothed:
+        """Return the observer with the one design."""
+        model, design = self.design(name, context)
+        reconstruction = self.reconstruction(name, context)
+        reduced = model.reduced
+        x_a0 = self._initial(reduced)
+        if not isinstance(reconstruction, AveragedReconstruction):
+            linear = observer_model(reduced, design, x_a0=x_a0, q0=self.q0, constant=model.constant)
+            return Linear(model.declare(linear))
+        averaged = averaged_observer(reduced, design, x_a0=x_a0, constant=model.constant)
+        declared = replace(
+            averaged,
+            linear=model.declare(averaged.linear),
+            lagging=model.declared(averaged.lagging),
+        )
+        return averaging_observer(declared, reduced, reconstruction)
 
     def _relinearized(self, name: str, context: BuildContext) -> RelinearizedObserver:
         """Return the observer that is designed anew on the way."""
@@ -249,51 +274,27 @@ class UnknownInputObserverKind(
 
     def linear_model(self, name: str, context: BuildContext) -> LinearModel:
         """Return the observer with a first-order filter as a linear model."""
-        return self._filter_model(*self.design(name, context))
+        component = self._fixed(name, context)
+        assert isinstance(component, Linear)
+        return component.model
 
     def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
         from cosim.fmi.exporting.kernels import DiscreteModel  # a run does not need it
 
-        reconstruction = self.reconstruction(name, context)
         if self.relinearize:
             raise UsageError(
                 f"{name!r}: an exported observer cannot relinearize the FMU of its model; expected "
                 "relinearize = false"
             )
-        if not isinstance(reconstruction, AveragedReconstruction):
-            return self.linear_model(name, context)
-        component = self._averaging(*self.design(name, context), reconstruction)
+        component = self._fixed(name, context)
+        if isinstance(component, Linear):
+            return component.model
         kernel = averaging_kernel(component.design(context.h, wiring.held))
         reason = (
             "delta is an average over communication steps, so the observer is a discrete-time "
             "component"
         )
         return DiscreteModel(component.interface, kernel, context.step_ns, reason)
-
-    def _filter_model(self, model: DesignModel, design: observer.ObserverDesign) -> LinearModel:
-        linear = observer_model(
-            model.reduced,
-            design,
-            x_a0=self._initial(model.reduced),
-            q0=self.q0,
-            constant=model.constant,
-        )
-        return model.declare(linear)
-
-    def _averaging(
-        self,
-        model: DesignModel,
-        design: observer.ObserverDesign,
-        reconstruction: AveragedReconstruction,
-    ) -> Windowed | Smoothed:
-        x_a0 = self._initial(model.reduced)
-        averaged = averaged_observer(model.reduced, design, x_a0=x_a0, constant=model.constant)
-        declared = replace(
-            averaged,
-            linear=model.declare(averaged.linear),
-            lagging=model.declared(averaged.lagging),
-        )
-        return averaging_observer(declared, model.reduced, reconstruction)
 
     def given_states(self, name: str, context: BuildContext) -> GivenStates | None:
         coordinates = self.design_model_of(name, context).reduced.coordinates
@@ -461,46 +462,23 @@ class UnknownInputObserverKind(
             bandwidth=fastest.bandwidth if bandwidth is None else bandwidth,
         )
 
-    def _record(
-        self,
-        name: str,
-        context: BuildContext,
-        model: DesignModel,
-        design: observer.ObserverDesign,
-        reconstruction: AnyReconstruction,
-    ) -> None:
-        """Record what the design is, and what its delta costs."""
-        metadata: dict[str, Any] = {
-            "eigenvalues": plain_modes(design.eigenvalues),
-            "fixed_modes": plain_modes(design.fixed_modes),
-            "lambda_obs": design.lambda_obs,
-            "reconstruction": plain_reconstruction(reconstruction),
-        }
-        for key, held in (("noise_gain", False), ("noise_gain_held", True)):
-            gains = noise_gains(model.reduced, design, reconstruction, h=context.h, held=held)
-            metadata[key] = gains.ravel().tolist()
-        if reconstruction.lag:
-            metadata["lags"] = dict.fromkeys(_lagging_outputs(model), reconstruction.lag)
-        context.add_metadata(name, metadata)
-
     def advice(
         self, name: str, context: BuildContext, *, held: Mapping[str, bool], h: float
     ) -> list[str]:
         if self.filter != "first-order" or self.filter_rate is None:
             return []
         product = self.filter_rate * h
-        if product <= HOLD_LIMIT or self._is_unfiltered(self.design(name, context).design):
+        if product <= HOLD_LIMIT:
             return []
         model = self.linear_model(name, context)
         filtered = model.B[[state.startswith("q") for state in model.states]]
         columns = model.interface.input_columns()
         read = [n for n, is_held in held.items() if is_held and filtered[:, columns[n]].any()]
-        names = " and ".join(read)
-        if not names:
+        if not read:
             return []
         gain = product / -math.expm1(-product) - 1.0
         return [
-            f"zero-order hold of {names} over the step (discrete, extrapolated in a "
+            f"zero-order hold of {' and '.join(read)} over the step (discrete, extrapolated in a "
             f"loop, or by input_interpolation), filter_rate x step = {product:g}: the derivative "
             f"filter reads a ramp {gain:.0%} too high and a jump filter_rate times; "
             "do not trust delta"
@@ -536,7 +514,13 @@ class UnknownInputObserverKind(
             rows = tuple(row if isinstance(row, tuple) else (row,) for row in self.L)
             L = matrix(rows, "L")
             if reduced.coordinates is not None:
-                L = _gain_of_x_a(L, reduced.coordinates, len(reduced.C3))
+                needed = (len(reduced.coordinates.X), len(reduced.C3))
+                if L.shape != needed:
+                    raise UsageError(
+                        f"L: expected shape {needed}, one row per state and one column per "
+                        f"output, got {L.shape}"
+                    )
+                L = np.asarray(reduced.coordinates.R @ L)
         return observer.design(reduced, L=L, poles=self.poles, filter_rate=self.filter_rate)
 
     def design_model_of(self, name: str, context: BuildContext) -> DesignModel:
@@ -564,20 +548,3 @@ def _lagging_outputs(model: DesignModel) -> tuple[str, ...]:
     """Return the outputs that lag by as much as the reconstruction of delta does."""
     lagging = {state.name for state in observer.lagging_states(model.reduced)}
     return ("delta", *(output for output in ("x_b", "x") if output in lagging))
-
-
-def _gain_of_x_a(L: Matrix, coordinates: UserCoordinates, n_y: int) -> Matrix:
-    """Return a gain of the user's x as one of x_a.
-
-    Raises
-    ------
-    UsageError
-        If it does not have a row a state and a column an output.
-    """
-    needed = (len(coordinates.X), n_y)
-    if L.shape != needed:
-        raise UsageError(
-            f"L: expected shape {needed}, one row per state and one column per output, got "
-            f"{L.shape}"
-        )
-    return np.asarray(coordinates.R @ L)

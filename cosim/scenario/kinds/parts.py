@@ -30,6 +30,7 @@ from cosim.scenario.kinds.base import (
     unit_of,
 )
 from cosim.scenario.kinds.capabilities import Advising
+from cosim.scenario.kinds.jumps import seen_late
 from cosim.scenario.kinds.values import LinearSystem
 
 # --- without memory ---
@@ -144,8 +145,7 @@ class SwitchKind(ExportableKind, Advising):
     threshold: Number = Field(0.5, description="y = u1 for control >= threshold")
     size: Size = Field(1, description="number of elements of u1, u2 and y")
     discrete: Flag = Field(
-        False,
-        description="hold y over each step; default: true if u1, u2 and control are discrete",
+        False, description="hold y over each step; default: true if u1, u2 and control are discrete"
     )
     unit: PortUnits = Field(None, description=unit_of("u1, u2 and y"))
 
@@ -154,16 +154,9 @@ class SwitchKind(ExportableKind, Advising):
     ) -> list[str]:
         if held["control"]:
             return []
-        shown = "that shows at the second, an error of first order in the step"
-        if not self.discrete:
-            shown = (
-                "the jump becomes a ramp over that step, an error of first order in the step; a "
-                "discrete control jumps at communication points only"
-            )
-        return [
-            "control is interpolated linearly, and where it passes the threshold y jumps: between "
-            f"two communication points {shown}"
-        ]
+        what = "control is interpolated linearly, and where it passes the threshold y jumps"
+        way_out = "a discrete control jumps at communication points only"
+        return [seen_late(what, self.discrete, way_out)]
 
     def build(self, name: str, context: BuildContext) -> Component:
         return arithmetic.switch(**self.given(), unit=self.unit_name)

@@ -16,13 +16,7 @@ from cosim.errors import UsageError, nearest
 from cosim.fmi.driving.solvers import SOLVERS, STEPPING
 from cosim.instants import NANOSECONDS, Grid
 from cosim.scenario.document.schema import Flag, Number, NumberRow, Whole
-from cosim.scenario.kinds.base import (
-    BuildContext,
-    Kind,
-    LinearKind,
-    LinearNearStart,
-    PeriodicKind,
-)
+from cosim.scenario.kinds.base import BuildContext, Kind, LinearKind, LinearNearStart, PeriodicKind
 from cosim.scenario.kinds.capabilities import HasDescription, HasGivenStates, TunedInPlace
 from cosim.scenario.kinds.initial_states import GivenStates
 from cosim.scenario.kinds.values import LinearSystem, Sampling, StepDependence
@@ -165,15 +159,13 @@ class FmuKind(PlantKind, PeriodicKind, HasDescription, LinearNearStart, TunedInP
     kind: Literal["fmu"]
     path: str = Field(description="path of the .fmu file")
     interface_type: Literal["me", "cs"] | None = Field(
-        None,
-        description='"me" (model exchange) or "cs" (co-simulation); default: me if available',
+        None, description='"me" (model exchange) or "cs" (co-simulation); default: me if available'
     )
     solver: str | None = Field(
         None, description=f"model exchange: {', '.join(STEPPING)}; default: RK45"
     )
     tolerance: Number | None = Field(
-        None,
-        description="relative tolerance of variable-step solvers; default: 1e-9",
+        None, description="relative tolerance of variable-step solvers; default: 1e-9"
     )
     max_step: Number | None = Field(
         None,

@@ -29,7 +29,7 @@ from cosim.scenario.document.schema import Flag, Number, NumberRow, Size, Whole
 from cosim.scenario.kinds.alphas import ALPHA, alpha_connections, alphas_of, naming
 from cosim.scenario.kinds.base import BuildContext, Kind, PeriodicKind
 from cosim.scenario.kinds.capabilities import Advising
-from cosim.scenario.kinds.jumps import check_continuous, check_sampled
+from cosim.scenario.kinds.jumps import check_continuous, check_sampled, seen_late
 from cosim.scenario.kinds.terms import LINEAR, ValuedTerm, element_count, function_text
 from cosim.scenario.kinds.values import ImpliedConnection, StepDependence
 
@@ -178,16 +178,10 @@ class ExpressionKind(Kind, Advising):
         jumping = [text for text in self._texts if self._signals and jumps_with_signals(text)]
         if not jumping or all(held.values()):
             return []
-        shown = "that shows at the second, an error of first order in the step"
-        if not self.discrete:
-            shown = (
-                "the jump becomes a ramp over that step, an error of first order in the step; with "
-                "discrete = true it shows at the second"
-            )
-        return [
-            f"{', '.join(jumping)}: jumps with its signals, where these are interpolated linearly: "
-            f"between two communication points {shown}"
-        ]
+        what = (
+            f"{', '.join(jumping)}: jumps with its signals, where these are interpolated linearly"
+        )
+        return [seen_late(what, self.discrete, "with discrete = true it shows at the second")]
 
     def build(self, name: str, context: BuildContext) -> Component:
         signals = signals_of(self._texts)

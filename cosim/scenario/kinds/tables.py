@@ -19,9 +19,8 @@ from cosim.core.contracts import Component
 from cosim.core.signals import PortUnit
 from cosim.errors import UsageError
 from cosim.native.blocks.functions import Extrapolation
-from cosim.scenario.data_files.headers import second_of
-from cosim.scenario.data_files.headers import unit_of as header_unit
-from cosim.scenario.data_files.table import TableForm
+from cosim.scenario.data_files.table import TableForm, second_of
+from cosim.scenario.data_files.table import unit_of as header_unit
 from cosim.scenario.data_files.tables import read_table
 from cosim.scenario.document.schema import NumberRow, NumberRows, TomlTable, Whole, matrix
 from cosim.scenario.kinds.base import BuildContext, Kind
@@ -68,8 +67,7 @@ class TableKind(TableKeys, Kind):
     is_function_of_time: ClassVar[bool] = True
     kind: Literal["table"]
     t: NumberRow | None = Field(
-        None,
-        description='times [s], increasing; with "zero-order" two may be equal: a jump',
+        None, description='times [s], increasing; with "zero-order" two may be equal: a jump'
     )
     y: NumberRow | NumberRows | None = Field(
         None, description="values at these times, or rows of values"
@@ -84,8 +82,7 @@ class TableKind(TableKeys, Kind):
         None, description="columns of the values; default: all others"
     )
     interpolation: Literal["linear", "zero-order"] = Field(
-        "linear",
-        description='between the times: "linear" interpolation, or "zero-order" hold',
+        "linear", description='between the times: "linear" interpolation, or "zero-order" hold'
     )
     extrapolation: Literal["error", "hold"] = Field(
         "error",
@@ -230,8 +227,7 @@ class LookUpTableKind(TableKeys, Kind):
         None, description="names of the columns; default: all columns of the file"
     )
     extrapolation: Extrapolation = Field(
-        "error",
-        description='outside the breakpoints: "error", "hold" (nearest value), or "linear"',
+        "error", description='outside the breakpoints: "error", "hold" (nearest value), or "linear"'
     )
 
     @property

@@ -9,22 +9,9 @@ from typing import Any, Final
 from pydantic import Field
 
 from cosim.errors import UsageError
-from cosim.scenario.document.schema import (
-    Number,
-    NumberRow,
-    NumberRows,
-    TomlTable,
-    Whole,
-    matrix,
-)
+from cosim.scenario.document.schema import Number, NumberRow, NumberRows, TomlTable, Whole, matrix
 from cosim.scenario.kinds.alphas import ALPHA_KEY, TermAlpha, naming
-from cosim.theory.disturbances.families import (
-    FAMILIES,
-    SETTINGS,
-    Family,
-    Polynomial,
-    family_named,
-)
+from cosim.theory.disturbances.families import FAMILIES, SETTINGS, Family, Polynomial, family_named
 from cosim.theory.disturbances.linear_family import LinearFamily, Rows
 
 LINEAR: Final = "linear"

@@ -41,7 +41,7 @@ from pydantic import AfterValidator, ConfigDict, Field, StrictStr, ValidationErr
 from cosim.core.arguments import checked_components
 from cosim.core.contracts import Component
 from cosim.errors import CosimError, UsageError
-from cosim.scenario.document.problems import TableProblems, described, problems_of
+from cosim.scenario.document.problems import TableProblems, problems_of
 from cosim.scenario.document.schema import (
     Flag,
     Number,
@@ -202,10 +202,9 @@ def _table_of(user_class: UserClass) -> type[TomlTable]:
             raise TableProblems([(("class",), text)]) from error
         default = ... if parameter.default is parameter.empty else None
         # fields have names of their own: those of parameters may mean something to pydantic
-        fields[f"field_{number}"] = (
-            value,
-            Field(default, alias=parameter.name, description=described(value)),
-        )
+        annotation = inspect.formatannotation(parameter.annotation)
+        field = Field(default, alias=parameter.name, description=annotation)
+        fields[f"field_{number}"] = (value, field)
     return create_model("Parameters", __base__=TomlTable, **fields)
 
 

@@ -76,8 +76,7 @@ METHODS: Mapping[IdentificationMethod, Variant] = MappingProxyType(
         ),
         "least-squares": Variant(own=without_default("P0")),
         "projection": Variant(
-            inputs=frozenset({"alpha", "delta"}),
-            own=without_default("window", "bounds"),
+            inputs=frozenset({"alpha", "delta"}), own=without_default("window", "bounds")
         ),
         "rayleigh": Variant(inputs=frozenset({"alpha"})),
         "augmented-kalman": Variant(

@@ -17,9 +17,10 @@ errs by terms of the order of its smooth part, of which an estimate may be a thi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from copy import copy
+from dataclasses import replace
 from typing import Any, Final, final
 
 import numpy as np
@@ -32,10 +33,9 @@ from cosim.core.passing_recorders import Watched
 from cosim.core.port import Port
 from cosim.core.recorders import Nothing, close, end_of_run, error_text
 from cosim.core.recording import Recorder
-from cosim.core.signals import Layout
 from cosim.documents import plain
 from cosim.errors import CosimError, FmuError, Interrupted, RunError, UsageError, option
-from cosim.instants import NANOSECONDS, StepNs, step_part, step_seconds, step_value
+from cosim.instants import NANOSECONDS, step_part, step_seconds, step_value
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.document import short
@@ -49,480 +49,225 @@ from cosim.theory.richardson import step_error
 
 MOST_VALUES: Final = 2**24  # that are kept of a run: 128 MB
 FINER: Final = (2, QUARTERS)  # steps of the other runs in one of this
-SIGNIFICANT_JUMP: Final = 1e-6  # of the range of a signal
 
 
-@dataclass(frozen=True, slots=True)
-class Subject:
-    """What is known of a run before it is certified.
+@final
+class Certification:
+    """The certificate of a run, by others with half of its step, and a quarter.
+
+    Of a run that is recorded it is computed behind it, and recorded before its recording ends.
 
     Parameters
     ----------
-    step_ns : int
-        Communication step [ns].
-    steps : int
-        Of the whole run.
-    layout : Layout
-    labels : tuple of str
-        By column.
-    may_jump : Mask, shape (width,)
-        Columns that jump with something discrete, as far as that is known.
-    followers : mapping of component name to frozenset of str
-        The components that follow it, itself among them where it has inputs.
-    solvers : tuple of str
-        The components that have solvers of their own: FMUs.
-    changes : mapping of dotted key to value
-        What keeps in the other runs what this step has decided.
-    conditional : mapping of component name to ActionTable
-        Components that actions on conditions are about.
-    known_ns : frozenset of int
-        The instants of all other actions [ns].
-    uneven : mapping of component name to float
-        A time [s] of its table that leaves another part of a step over in each of the runs.
-    """
+    scenario : Scenario
+    progress : callable or None
 
-    step_ns: StepNs
-    steps: int
-    layout: Layout
-    labels: tuple[str, ...]
-    may_jump: Mask
-    followers: Mapping[str, frozenset[str]]
-    solvers: tuple[str, ...]
-    changes: Mapping[str, Any]
-    conditional: Mapping[str, ActionTable]
-    known_ns: frozenset[int]
-    uneven: Mapping[str, float]
-
-    @property
-    def every(self) -> int:
-        """Communication steps between two rows that are compared: memory is bounded."""
-        return max(1, math.ceil((self.steps + 1) * self.layout.width / MOST_VALUES))
-
-    def own_rows(self) -> ThinnedRows:
-        """Return what keeps the rows of the run."""
-        return ThinnedRows(self.every, self.steps)
-
-    def certificate(self, runs: Sequence[ThinnedRows], problem: str) -> RecordedCertificate:
-        """Return what a certificate says of the runs, and of no signal yet.
-
-        Parameters
-        ----------
-        runs : sequence of ThinnedRows
-            The run itself, and those behind it, if there are any.
-        problem : str
-            Why nothing is compared; empty where something is.
-        """
-        step = step_seconds(self.step_ns)
-        return RecordedCertificate(
-            step,
-            tuple(step / finer for finer in FINER),
-            tuple(run.end_ns / NANOSECONDS for run in runs),
-            problem,
-            tuple(self.solvers),
-            every=self.every,
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class FinerRun:
-    """A run with a smaller step, and why it ended early; empty where it did not."""
-
-    rows: ThinnedRows
-    jumps: JumpWatch
-    problem: str
-
-
-def subject_of(scenario: Scenario) -> Subject:
-    """Build a scenario, and return what its certificate needs.
+    Attributes
+    ----------
+    scenario : Scenario
+    rows : ThinnedRows
+        What keeps the rows of the run.
+    problem : str
+        Why one of the runs ended early; empty where none did.
 
     Raises
     ------
     UsageError
         If a smaller step would be another run: with other noise, or off the nanoseconds.
     """
-    with ExitStack() as resources:
-        experiment = build_experiment(scenario, resources, None)
-        return _subject(experiment)
 
+    def __init__(self, scenario: Scenario, progress: Progress | None) -> None:
+        self.scenario = scenario
+        self.problem = ""
+        self._progress = progress
+        self._search: StepSearch | None = None
+        self._recorder: Recorder | None = None
+        self._error: BaseException | None = None  # with which a complete run ended
+        with ExitStack() as resources:
+            experiment = build_experiment(scenario, resources, None)
+            _check(experiment)
+            graph = experiment.graph
+            self._clock = experiment.clock
+            self._labels = graph.labels()
+            self._fmus = tuple(experiment.fmus)
+            self._decided = _decided(experiment)
+            self._outputs = _outputs(scenario, graph)
+            self._driven = _driven(graph)
+        self._every = max(1, math.ceil((self._clock.steps + 1) * len(self._labels) / MOST_VALUES))
+        self.rows = ThinnedRows(self._every, self._clock.steps)
+        self._finer: list[ThinnedRows] = []
+        self._jumps = JumpWatch(*self._outputs)  # of the run with the smallest step
 
-def _subject(experiment: Experiment) -> Subject:
-    scenario = experiment.scenario
-    graph = experiment.graph
-    step_ns = experiment.clock.step_ns
-    if isinstance(step_ns, int) and step_ns % QUARTERS:
-        raise UsageError(
-            f"step error: a quarter of the step {step_ns / NANOSECONDS} s is not a whole number "
-            "of nanoseconds; choose a step of which it is"
-        )
-    _check_noise(scenario, step_ns)
-    _check_substeps(graph)
-    changes: dict[str, Any] = {}
-    for name, spec in scenario.specs.items():
-        table = scenario.tree["components"][name]
-        metadata = experiment.metadata.get(name, {})
-        if isinstance(spec, DecidedByStep):
-            decided = spec.decided(table, metadata, step_ns)
-            if decided != table:
-                changes[f"components.{name}"] = decided
-    return Subject(
-        step_ns,
-        experiment.clock.steps,
-        graph.layout,
-        tuple(graph.labels()),
-        _may_jump(scenario, graph),
-        _followers(graph),
-        tuple(experiment.fmus),
-        changes,
-        _conditional(scenario),
-        frozenset(nanoseconds(a.at) for a in scenario.actions.values() if a.at is not None),
-        _uneven(scenario, step_ns),
-    )
+    def again(self, search: StepSearch) -> Certification:
+        """Return that of another run of the scenario, by the same runs with smaller steps.
 
+        Parameters
+        ----------
+        search : StepSearch
+            How its step was found.
+        """
+        other = copy(self)
+        other._search = search
+        other.rows = ThinnedRows(self._every, self._clock.steps)
+        return other
 
-def _check_noise(scenario: Scenario, step_ns: StepNs) -> None:
-    """Check that no random number belongs to a communication step.
+    # --- the runs ---
 
-    Raises
-    ------
-    UsageError
-        If one does; names the components.
-    """
-    for action in scenario.actions.values():
-        is_random = action.noise is not None or type(action.drop) in (int, float)
-        if is_random:
-            raise UsageError(
-                f"step error: the action {_when(action)} draws random numbers at every "
-                "communication step, so that a run with a smaller step has other noise; use a "
-                "scenario without it, or a sensor with noise and a period"
-            )
-    names = [name for name, spec in scenario.specs.items() if spec.step_dependence.draws]
-    if not names:
-        return
-    keys = [short(f"components.{name}.period") for name in names]
-    settings = [option("set", key, f"{step_seconds(step_ns)}") for key in keys]
-    each = "draw" if len(names) > 1 else "draws"
-    raise UsageError(
-        f"step error: {', '.join(names)} {each} random numbers at every communication step, so "
-        "that a run with a smaller step has other noise; set a period, such as "
-        f"{' '.join(settings)}"
-    )
+    def check(self) -> None:
+        """Check that the scenario can be built with the smaller steps.
 
+        Raises
+        ------
+        UsageError
+            If it cannot.
+        """
+        for finer in FINER:
+            with ExitStack() as resources:
+                self._built(finer, resources)
 
-def _check_substeps(graph: Graph) -> None:
-    """Check that no loop chooses its steps.
+    def run_finer(self) -> None:
+        """Run the scenario with half of the step, and with a quarter.
 
-    Raises
-    ------
-    UsageError
-        If one does: the error of its steps is that of the tolerance, whatever their length is.
-    """
-    if graph.substep_controls:
-        raise UsageError(
-            "step error: loops choose their steps by scenario.substeps, so that a smaller "
-            "communication step does not show their error; use a scenario without substeps, or "
-            f"compare with a run with a smaller {option('set', 'scenario.substeps.rtol')}"
-        )
+        Raises
+        ------
+        UsageError
+            If the scenario cannot be built with one of them.
+        Interrupted
+            If the user ends it.
+        """
+        self._finer = [self._run(finer) for finer in FINER]
 
+    def run_all(self) -> None:
+        """Run the scenario itself, too; see :meth:`run_finer`."""
+        self.rows = self._run(1)
+        self.run_finer()
 
-def _when(action: ActionTable) -> str:
-    return f"at {action.at} s" if action.when is None else f"when {action.when!r}"
+    def _run(self, finer: int) -> ThinnedRows:
+        """Run with a step that is smaller by a factor, and return its rows."""
+        rows = ThinnedRows(self._every * finer, self._clock.steps * finer)
+        self._jumps = JumpWatch(*self._outputs)
 
+        def take(block: Block, signals: Matrix) -> None:
+            self._jumps.take(block, signals)
+            rows.take(block, signals)
 
-def _conditional(scenario: Scenario) -> dict[str, ActionTable]:
-    """Return the components that actions on conditions are about, and these actions."""
-    conditional: dict[str, ActionTable] = {}
-    for action in scenario.actions.values():
-        if action.when is None:
-            continue
-        names = [Port.parse(signal).component for signal in action.signals]
-        names += [key.partition(".")[0] for key in action.set or {}]
-        names += action.swap or {}
-        for name in names:
-            conditional.setdefault(name, action)
-    return conditional
+        watched = Watched(Nothing(), take, jumped=self._jumps.expect)
+        step = self._step(finer)
+        with ExitStack() as resources:
+            experiment = replace(self._built(finer, resources), identified={})
+            try:
+                run_into(watched, experiment, progress=self._progress, profile=None)
+            except Interrupted:
+                raise
+            except (RunError, FmuError) as error:  # of an FMU that does not take this step
+                text = f"no complete run with steps of {step} s: {error}"
+                self.problem = self.problem or text
+        return rows
 
-
-def _uneven(scenario: Scenario, step_ns: StepNs) -> dict[str, float]:
-    """Return a time [s] of each component that leaves another part of a step over in each run.
-
-    Straight lines err by r (1 - r) h^2 y''/2 there, with r the part of a step h: a power of h where
-    r (1 - r) is the same in all runs, as 0 is where h divides the time.
-    """
-    times: dict[str, float] = {}
-    for name, spec in scenario.specs.items():
-        for time in spec.step_dependence.times:
-            factors = set()
-            for finer in (1, *FINER):
-                part_ns = nanoseconds(time) * finer % step_ns  # of a step of step_ns
-                factors.add(part_ns * (step_ns - part_ns))
-            if len(factors) > 1:
-                times[name] = time
-    return times
-
-
-def _may_jump(scenario: Scenario, graph: Graph) -> Mask:
-    """Return the columns that are known to jump, with something that does so at points alone."""
-    mask = np.zeros(graph.layout.width, np.bool_)
-    for channel in graph.layout.channels:
-        for signal in channel.interface.outputs:
-            origins = graph.jumps(Port(channel.name, signal.name))
-            kinds = [scenario.specs[origin.component] for origin in origins]
-            is_known = bool(kinds) and all(kind.step_dependence.jumps_at_points for kind in kinds)
-            mask[channel.signal_columns[signal.name]] = is_known
-    return mask
-
-
-def _followers(graph: Graph) -> dict[str, frozenset[str]]:
-    """Return for every component those that follow it; itself where it has inputs."""
-    driven: dict[str, set[str]] = {name: set() for name in graph.components}
-    for to, connection in graph.connections.items():
-        for source in connection.sources:
-            driven[source.component].add(to.component)
-    followers = {}
-    for name in graph.components:
-        reached = set(driven[name])
-        waiting = list(reached)
-        while waiting:
-            more = driven[waiting.pop()] - reached
-            reached |= more
-            waiting += more
-        if graph.layout[name].interface.n_u:
-            reached.add(name)
-        followers[name] = frozenset(reached)
-    return followers
-
-
-# --- the runs ---
-
-
-def finer_run(
-    scenario: Scenario, subject: Subject, finer: int, progress: Progress | None
-) -> FinerRun:
-    """Run a scenario with a step that is smaller by a whole factor; keep its rows.
-
-    Raises
-    ------
-    UsageError
-        If the scenario cannot be built with that step.
-    Interrupted
-        If the user ends it.
-    """
-    step = step_value(step_part(subject.step_ns, finer))
-    jumps = JumpWatch(subject.layout.width)
-    rows = ThinnedRows(subject.every * finer, subject.steps * finer)
-
-    def take(block: Block, signals: Matrix) -> None:
-        jumps.take(block, signals)
-        rows.take(block, signals)
-
-    watched = Watched(Nothing(), take, jumped=jumps.expect)
-    problem = ""
-    with ExitStack() as resources:
-        experiment = _finer_experiment(scenario, subject, finer, resources)
-        experiment = replace(experiment, identified={})
+    def _built(self, finer: int, resources: ExitStack) -> Experiment:
+        step = self._step(finer)
         try:
-            run_into(watched, experiment, progress=progress, profile=None)
-        except Interrupted:
-            raise
-        except FmuError as error:  # which does not take this step
-            problem = f"no run with steps of {step} s: {error}"
-        except RunError as error:
-            problem = f"the run with steps of {step} s ended early: {error}"
-    return FinerRun(rows, jumps, problem)
+            changes = {} if finer == 1 else {**self._decided, "scenario.step": step}
+            return build_experiment(self.scenario.edit(set=changes), resources, None)
+        except CosimError as error:
+            raise UsageError(
+                f"step error: the scenario must also run with {step} s, and cannot:\n{error}"
+            ) from error
 
+    def _step(self, finer: int) -> float | str:
+        return step_value(step_part(self._clock.step_ns, finer))
 
-def _finer_experiment(
-    scenario: Scenario, subject: Subject, finer: int, resources: ExitStack
-) -> Experiment:
-    step = step_value(step_part(subject.step_ns, finer))
-    try:
-        changed = scenario.edit(set={**subject.changes, "scenario.step": step})
-        return build_experiment(changed, resources, None)
-    except CosimError as error:
-        raise UsageError(
-            f"step error: the scenario must also run with {step} s, and cannot:\n{error}"
-        ) from error
+    # --- what they show ---
 
-
-class Certifier:
-    """Certifies a run by others with smaller steps.
-
-    Parameters
-    ----------
-    subject : Subject
-    half, quarter : FinerRun
-        With half of its step, and a quarter.
-    search : mapping, optional
-        How its step was found.
-    """
-
-    def __init__(
-        self,
-        subject: Subject,
-        half: FinerRun,
-        quarter: FinerRun,
-        search: StepSearch | None = None,
-    ) -> None:
-        self._subject = subject
-        self._half = half
-        self._quarter = quarter
-        self._search = search
-
-    def with_search(self, search: StepSearch) -> Certifier:
-        """Return the same that tells how its step was found."""
-        return Certifier(self._subject, self._half, self._quarter, search)
-
-    @property
-    def problem(self) -> str:
-        """Why a run with a smaller step ended early; empty where none did."""
-        return self._half.problem or self._quarter.problem
-
-    def rows(self) -> ThinnedRows:
-        """Return what keeps the rows of the run."""
-        return self._subject.own_rows()
-
-    def certification(self) -> Certification:
-        """Return the certificate that it gives a run."""
-        return Certification(self._subject, lambda: self)
-
-    def certificate(self, own: ThinnedRows) -> RecordedCertificate:
-        """Return the certificate; ``own`` are the rows of the run."""
-        of_runs = self._subject.certificate(self._runs(own), self.problem)
-        signals = {} if self.problem else self.errors(own)
-        return replace(of_runs, signals=signals, search=self._search)
-
-    def errors(self, own: ThinnedRows) -> dict[str, StepError]:
+    def errors(self) -> dict[str, StepError]:
         """Return the error of every element of every signal, by its label.
 
         Where a condition ends the runs, which it may do at different instants, they are compared up
         to the first of these.
         """
-        runs = self._runs(own)
-        times = [run.time_ns for run in runs]
-        count = min(map(len, times))
-        tables: list[Matrix] = [run.rows[:count] for run in runs]
-        t = times[0][:count] / NANOSECONDS
+        runs = [self.rows, *self._finer]
+        count = min(len(run.time_ns) for run in runs)
+        tables = [run.rows[:count] for run in runs]
+        t = self.rows.time_ns[:count] / NANOSECONDS
         reasons = self._reasons()
         errors = {}
-        for channel in self._subject.layout.channels:
-            for column in range(channel.columns.start, channel.columns.stop):
-                if channel.name in reasons:
-                    error = StepError(reason=reasons[channel.name])
-                else:
-                    coarse, half, quarter = (table[:, column] for table in tables)
-                    error = step_error(t, coarse, half, quarter)
-                errors[self._subject.labels[column]] = error
+        for column, label in enumerate(self._labels):
+            reason = reasons.get(label.partition(".")[0])
+            if reason is not None:
+                errors[label] = StepError(reason=reason)
+            else:
+                coarse, half, quarter = (table[:, column] for table in tables)
+                errors[label] = step_error(t, coarse, half, quarter)
         return errors
 
     @property
-    def of_conditions(self) -> frozenset[str]:
+    def of_conditions(self) -> set[str]:
         """The components that have no estimate with any step, as they follow a condition."""
-        names: set[str] = set()
-        for origin, _ in self._of_actions():
-            names.update(self._subject.followers.get(origin, ()))
-        return frozenset(names)
-
-    def _runs(self, own: ThinnedRows) -> list[ThinnedRows]:
-        return [own, self._half.rows, self._quarter.rows]
+        return {name for origin in self._conditions() for name in self._followers(origin)}
 
     def _reasons(self) -> dict[str, str]:
         """Return why components have no estimate, by their names: what they follow has none."""
         reasons: dict[str, str] = {}
-        for origin, text in (*self._of_actions(), *self._of_parts(), *self._of_jumps()):
-            for name in self._subject.followers.get(origin, ()):
-                reasons.setdefault(name, text)
+        for origins in (self._conditions(), self._parts(), self._unexpected()):
+            for origin, text in origins.items():
+                for name in self._followers(origin):
+                    reasons.setdefault(name, text)
         return reasons
 
-    def _of_actions(self) -> Iterator[tuple[str, str]]:
-        """Yield components that actions on conditions are about, and why they have no estimate."""
-        subject = self._subject
-        are_performed = not self._quarter.jumps.expected_ns <= subject.known_ns
-        for component, action in subject.conditional.items():
-            if are_performed:
-                text = (
-                    f"the action {_when(action)} takes effect at a point that depends on the step"
-                )
-                yield component, text
+    def _followers(self, origin: str) -> list[str]:
+        """Return the components that follow one, itself among them where it has inputs."""
+        followers = list(self._driven.get(origin, ()))
+        for name in followers:  # grows on the way
+            followers += self._driven[name].difference(followers)
+        return followers
 
-    def _of_parts(self) -> Iterator[tuple[str, str]]:
-        """Yield components with times that leave parts of a step over, and what they are."""
-        for component, time in self._subject.uneven.items():
-            yield (
-                component,
-                f"{time:g} s of {component} is not a whole number of steps, and leaves a "
-                "different fraction of a step in each of the runs",
+    def _conditions(self) -> dict[str, str]:
+        """Return the components that actions on conditions are about, if one was performed."""
+        actions = self.scenario.actions.values()
+        timed = {nanoseconds(action.at) for action in actions if action.at is not None}
+        texts: dict[str, str] = {}
+        for action in actions:
+            if action.when is None or self._jumps.expected_ns <= timed:
+                continue
+            text = f"the action {_when(action)} takes effect at a point that depends on the step"
+            names = [Port.parse(signal).component for signal in action.signals]
+            names += [key.partition(".")[0] for key in action.set or {}]
+            for name in [*names, *(action.swap or {})]:
+                texts.setdefault(name, text)
+        return texts
+
+    def _parts(self) -> dict[str, str]:
+        """Return the components with times that leave another part of a step over in each run.
+
+        Straight lines err by r (1 - r) h^2 y''/2 there, with r the part of a step h: a power of h
+        where r (1 - r) is the same in all runs, as 0 is where h divides the time.
+        """
+        texts = {}
+        step_ns = self._clock.step_ns
+        for name, spec in self.scenario.specs.items():
+            for time in spec.step_dependence.times:
+                parts_ns = [nanoseconds(time) * finer % step_ns for finer in (1, *FINER)]
+                if len({part_ns * (step_ns - part_ns) for part_ns in parts_ns}) > 1:
+                    texts[name] = (
+                        f"{time:g} s of {name} is not a whole number of steps, and leaves a "
+                        "different fraction of a step in each of the runs"
+                    )
+        return texts
+
+    def _unexpected(self) -> dict[str, str]:
+        """Return the components with outputs that jump elsewhere than they may, and where."""
+        texts: dict[str, str] = {}
+        for column, (time_ns, is_within) in self._jumps.unexpected().items():
+            label = self._labels[column]
+            where = "between communication points" if is_within else "at an unknown instant"
+            text = (
+                f"{label} jumps {where}, or is not resolved by a quarter of the step, at "
+                f"t = {time_ns / NANOSECONDS:g} s"
             )
+            texts.setdefault(label.partition(".")[0], text)
+        return texts
 
-    def _of_jumps(self) -> Iterator[tuple[str, str]]:
-        """Yield components with outputs that jump elsewhere than they may, and where they do."""
-        subject = self._subject
-        jumps = self._quarter.jumps
-        needed = SIGNIFICANT_JUMP * jumps.ranges
-        within = jumps.within > needed
-        at_ends = (jumps.at_ends > needed) & ~(subject.may_jump | jumps.are_regular)
-        for channel in subject.layout.channels:
-            for column in range(channel.outputs.start, channel.outputs.stop):
-                if not (within[column] or at_ends[column]):
-                    continue
-                instant = jumps.within_ns if within[column] else jumps.at_ends_ns
-                where = "between communication points"
-                if not within[column]:
-                    where = "at an unknown instant"
-                yield (
-                    channel.name,
-                    f"{subject.labels[column]} jumps {where}, or is not resolved by a quarter "
-                    f"of the step, at t = {instant[column] / NANOSECONDS:g} s",
-                )
-
-
-def certifier_of(scenario: Scenario, progress: Progress | None) -> Certifier:
-    """Run a scenario with half its step, and with a quarter; return what certifies its run.
-
-    Raises
-    ------
-    UsageError
-        If a smaller step would be another run, or the scenario cannot run with one.
-    """
-    return _certifier(scenario, subject_of(scenario), progress)
-
-
-def _certifier(scenario: Scenario, subject: Subject, progress: Progress | None) -> Certifier:
-    half, quarter = (finer_run(scenario, subject, finer, progress) for finer in FINER)
-    return Certifier(subject, half, quarter)
-
-
-def certification_of(scenario: Scenario, progress: Progress | None) -> Certification:
-    """Return what certifies a run of a scenario, by others that follow it.
-
-    Raises
-    ------
-    UsageError
-        If a smaller step would be another run, or the scenario cannot run with one.
-    """
-    subject = subject_of(scenario)
-    for finer in FINER:
-        with ExitStack() as resources:
-            _finer_experiment(scenario, subject, finer, resources)
-    return Certification(subject, lambda: _certifier(scenario, subject, progress))
-
-
-@final
-class Certification:
-    """The certificate of a run: computed behind it, and recorded before its recording ends.
-
-    Parameters
-    ----------
-    subject : Subject
-    certifier : callable
-        Returns what certifies the run, and makes the runs that it needs.
-    """
-
-    def __init__(self, subject: Subject, certifier: Callable[[], Certifier]) -> None:
-        self._subject = subject
-        self._certifier = certifier
-        self._rows = subject.own_rows()
-        self._recorder: Recorder | None = None
-        self._error: BaseException | None = None  # with which a complete run ended
+    # --- the recording ---
 
     def beside(self, recorder: Recorder) -> Recorder:
         """Return a recorder that keeps what is compared, and leaves another one open behind.
@@ -530,7 +275,7 @@ class Certification:
         A run that ends early has no certificate, and its recording ends with it.
         """
         self._recorder = recorder
-        return Watched(recorder, self._rows.take, ended=self._end)
+        return Watched(recorder, self.rows.take, ended=self._end)
 
     def _end(self, recorder: Recorder, error: BaseException | None) -> None:
         """Leave the recorder of a complete run open; record why another has none."""
@@ -539,14 +284,9 @@ class Certification:
             self._error = error
             return
         try:
-            self._record_problem(recorder, f"the run ended early: {ended.reason}")
+            self._record(recorder, [self.rows], f"the run ended early: {ended.reason}")
         finally:
             close(recorder, error)
-
-    def _record_problem(self, recorder: Recorder, problem: str) -> None:
-        """Record why there is no certificate."""
-        certificate = self._subject.certificate([self._rows], problem)
-        recorder.result({CERTIFICATE: plain(certificate)})
 
     def complete(self, resources: ExitStack) -> None:
         """Compute the certificate, record it, and end the recording.
@@ -565,13 +305,124 @@ class Certification:
         assert recorder is not None, "beside a recorder"
         try:
             resources.close()
-            certificate = self._certifier().certificate(self._rows)
-            recorder.result({CERTIFICATE: plain(certificate)})
+            if not self._finer:
+                self.run_finer()
+            signals = {} if self.problem else self.errors()
+            self._record(recorder, [self.rows, *self._finer], self.problem, signals)
         except BaseException as error:
             reason = error_text(error) or "interrupted by the user"
             problem = f"a run with a smaller step did not complete: {reason}"
-            self._record_problem(recorder, problem)
+            self._record(recorder, [self.rows], problem)
             error.add_note("no error estimate: a run with a smaller step did not complete")
             raise
         finally:
             close(recorder, self._error)
+
+    def _record(
+        self,
+        recorder: Recorder,
+        runs: Sequence[ThinnedRows],
+        problem: str,
+        signals: Mapping[str, StepError] | None = None,
+    ) -> None:
+        """Record what is known of runs, or why nothing is."""
+        step = step_seconds(self._clock.step_ns)
+        certificate = RecordedCertificate(
+            step,
+            tuple(step / finer for finer in FINER),
+            tuple(run.end_ns / NANOSECONDS for run in runs),
+            problem,
+            self._fmus,
+            signals or {},
+            self._search,
+            every=self._every,
+        )
+        recorder.result({CERTIFICATE: plain(certificate)})
+
+
+# --- before the runs ---
+
+
+def _check(experiment: Experiment) -> None:
+    """Check that a smaller step shows the error of this one.
+
+    Raises
+    ------
+    UsageError
+        If its quarter is no whole number of nanoseconds; if random numbers belong to communication
+        steps; if loops choose their steps, whose error is that of the tolerance, whatever their
+        length is.
+    """
+    step_ns = experiment.clock.step_ns
+    scenario = experiment.scenario
+    if isinstance(step_ns, int) and step_ns % QUARTERS:
+        raise UsageError(
+            f"step error: a quarter of the step {step_ns / NANOSECONDS} s is not a whole number "
+            "of nanoseconds; choose a step of which it is"
+        )
+    other_noise = (
+        "random numbers at every communication step, so that a run with a smaller step has other "
+        "noise"
+    )
+    for action in scenario.actions.values():
+        if action.noise is not None or type(action.drop) in (int, float):
+            raise UsageError(
+                f"step error: the action {_when(action)} draws {other_noise}; use a scenario "
+                "without it, or a sensor with noise and a period"
+            )
+    names = [name for name, spec in scenario.specs.items() if spec.step_dependence.draws]
+    if names:
+        step = f"{step_seconds(step_ns)}"
+        settings = [option("set", short(f"components.{name}.period"), step) for name in names]
+        raise UsageError(
+            f"step error: {', '.join(names)} {'draw' if len(names) > 1 else 'draws'} "
+            f"{other_noise}; set a period, such as {' '.join(settings)}"
+        )
+    if experiment.graph.substep_controls:
+        raise UsageError(
+            "step error: loops choose their steps by scenario.substeps, so that a smaller "
+            "communication step does not show their error; use a scenario without substeps, or "
+            f"compare with a run with a smaller {option('set', 'scenario.substeps.rtol')}"
+        )
+
+
+def _when(action: ActionTable) -> str:
+    return f"at {action.at} s" if action.when is None else f"when {action.when!r}"
+
+
+def _decided(experiment: Experiment) -> dict[str, Any]:
+    """Return what keeps in the other runs what this step has decided, by the keys to set."""
+    changes: dict[str, Any] = {}
+    for name, spec in experiment.scenario.specs.items():
+        table = experiment.scenario.tree["components"][name]
+        metadata = experiment.metadata.get(name, {})
+        if isinstance(spec, DecidedByStep):
+            decided = spec.decided(table, metadata, experiment.clock.step_ns)
+            if decided != table:
+                changes[f"components.{name}"] = decided
+    return changes
+
+
+def _outputs(scenario: Scenario, graph: Graph) -> tuple[Mask, Mask]:
+    """Return which columns are outputs, and which of them are known to jump at points alone."""
+    are_outputs = np.zeros(graph.layout.width, np.bool_)
+    may_jump = are_outputs.copy()
+    for channel in graph.layout.channels:
+        are_outputs[channel.outputs] = True
+        for signal in channel.interface.outputs:
+            origins = graph.jumps(Port(channel.name, signal.name))
+            kinds = [scenario.specs[origin.component] for origin in origins]
+            is_known = bool(kinds) and all(kind.step_dependence.jumps_at_points for kind in kinds)
+            may_jump[channel.signal_columns[signal.name]] = is_known
+    return are_outputs, may_jump
+
+
+def _driven(graph: Graph) -> dict[str, set[str]]:
+    """Return the components that each one drives, itself where it has inputs."""
+    driven = {}
+    for name in graph.components:
+        driven[name] = {name} if graph.layout[name].interface.n_u else set()
+    for to, connection in graph.connections.items():
+        for source in connection.sources:
+            driven[source.component].add(to.component)
+    return driven

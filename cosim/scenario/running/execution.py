@@ -312,13 +312,14 @@ def run(
         if find_step is not None:
             from cosim.scenario.running.step_search import find_step as search_step  # costly
 
-            search = search_step(edited, mapping_argument("find_step", find_step), progress)
-            edited = edited.edit(set={"scenario.step": search.step})
-            certification = search.certifier.certification()
+            tolerances = mapping_argument("find_step", find_step)
+            certification = search_step(edited, tolerances, progress)
+            edited = certification.scenario
         elif certify:
-            from cosim.scenario.running.certificate import certification_of  # costly
+            from cosim.scenario.running.certificate import Certification  # costly
 
-            certification = certification_of(edited, progress)
+            certification = Certification(edited, progress)
+            certification.check()
         beside: Beside | None = None if certification is None else certification.beside
         experiment = build_experiment(edited, resources, block)
         if pace is not None:

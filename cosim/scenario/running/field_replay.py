@@ -72,12 +72,11 @@ def check_field_options(
         "a window of time": window is not None,
         "components to compute": components is not None,
     }
-    for name, is_given in given.items():
-        if is_given:
-            raise UsageError(
-                f"{name} does not apply to a recording of another tool, from which mapped "
-                "components are taken while all others are computed; omit it"
-            )
+    for name in filter(given.get, given):
+        raise UsageError(
+            f"{name} does not apply to a recording of another tool, from which mapped components "
+            "are taken while all others are computed; omit it"
+        )
 
 
 def _recorded(scenario: Scenario, names: Mapping[str, PortNames]) -> list[str]:

@@ -29,12 +29,14 @@ from cosim.native.estimation.alphas import signals_among
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.kinds.feedback import inputs_in_feedback
 from cosim.scenario.kinds.identified_plant import (
+    IDENTIFY_WITH_OFFSET,
+    OUTPUT_ERROR,
     IdentifiedPlant,
     SampleRows,
     ThetaBounds,
     bounds_of,
+    interval_of,
 )
-from cosim.scenario.kinds.run_verdicts import IDENTIFY_WITH_OFFSET, OUTPUT_ERROR, interval_of
 from cosim.scenario.record import component_record
 from cosim.scenario.recordings.replaying import rebuilt
 from cosim.theory.assessment.advice import advised
@@ -122,8 +124,7 @@ class LogIdentification:
         AssumptionError
             If it has fewer samples than unknowns.
         """
-        _check_unused(other, self.records)
-        check_one_model(self.records[0], other)
+        _check_beside(other, self.records)
         return validate(self.assessment, other.data)
 
     def smoothed(self, index: int = 0) -> SmoothedSignals:
@@ -267,16 +268,13 @@ def identify(
         If there are fewer samples than unknowns.
     """
     listed = list(logs) if isinstance(logs, Sequence) and not isinstance(logs, str) else [logs]
-    records = [identifier_record(_opened(log), identifier) for log in listed]
+    records = []
+    for log in listed:
+        opened = open_log(log) if isinstance(log, str | Path) else log
+        if not isinstance(opened, RecordedSignals):
+            raise UsageError(f"logs: expected a path, or what a run returned, got {quoted(log)}")
+        records.append(identifier_record(opened, identifier))
     return identify_records(records, offset=offset, bounds=bounds)
-
-
-def _opened(log: str | Path | CompleteRecording) -> CompleteRecording:
-    if isinstance(log, str | Path):
-        return open_log(log)
-    if not isinstance(log, RecordedSignals):
-        raise UsageError(f"logs: expected a path, or what a run returned, got {quoted(log)}")
-    return log
 
 
 def identify_records(
@@ -306,18 +304,16 @@ def identify_records(
     """
     if not records:
         raise UsageError("logs: expected at least one, got none")
-    first = records[0]
     for number, record in enumerate(records):
-        _check_unused(record, records[:number])
-        check_one_model(first, record)
-    identified = first.identified
+        _check_beside(record, records[:number])
+    identified = records[0].identified
     problem = identified.problem_of([record.data for record in records])
     problem = replace(
         problem,
         offset=offset or identified.offset,
         bounds=identified.bounds if bounds is None else bounds_of(bounds, identified.parameters),
     )
-    assessment = assess(problem, first.estimate)
+    assessment = assess(problem, records[0].estimate)
     names = [record.log.label for record in records]
     return LogIdentification(
         records=tuple(records),
@@ -326,72 +322,63 @@ def identify_records(
     )
 
 
-def check_one_model(first: IdentifierRecord, other: IdentifierRecord) -> None:
-    """Check that two logs are of one plant and of disturbances of one class.
+def _check_beside(record: IdentifierRecord, used: Sequence[IdentifierRecord]) -> None:
+    """Check that a log is of one model with those that are used in a fit, and none of them.
 
     Raises
     ------
     UsageError
-        If they are not; names the first difference.
-    """
-    for field in fields(DisturbedPlant):
-        one = getattr(first.identified.plant, field.name)
-        another = getattr(other.identified.plant, field.name)
-        if not np.array_equal(one, another):
-            raise _different(first, other, f"the design models differ in {field.name}")
-    if list(first.identified.families) != list(other.identified.families):
-        raise _different(first, other, "the terms of their regressors differ in family")
-
-
-def _check_unused(record: IdentifierRecord, used: Sequence[IdentifierRecord]) -> None:
-    """Check that no data count twice.
-
-    Raises
-    ------
-    UsageError
-        If a log of the same rows is used already.
+        If the plants or the classes of their disturbances differ, by the first difference; or if a
+        log of the same rows is used already, so that data would count twice.
     """
     for other in used:
-        if _same_samples(other.data, record.data):
+        times = np.array_equal(other.data.t, record.data.t)
+        outputs = np.array_equal(other.data.y, record.data.y, equal_nan=True)
+        if times and outputs and np.array_equal(other.data.u, record.data.u):
             raise UsageError(
                 f"{record.log.label} has the rows of {other.log.label}, which is used in the fit; "
                 "expected data of another run"
             )
-
-
-def _same_samples(one: DataSet, other: DataSet) -> bool:
-    same_times = np.array_equal(one.t, other.t)
-    same_outputs = np.array_equal(one.y, other.y, equal_nan=True)
-    return same_times and same_outputs and np.array_equal(one.u, other.u)
-
-
-def _different(first: IdentifierRecord, other: IdentifierRecord, what: str) -> UsageError:
-    return UsageError(f"{first.log.label} and {other.log.label}: {what}; expected one model")
+    for first in used[:1]:
+        differences = [
+            f"the design models differ in {field.name}"
+            for field in fields(DisturbedPlant)
+            if not np.array_equal(
+                getattr(first.identified.plant, field.name),
+                getattr(record.identified.plant, field.name),
+            )
+        ]
+        if list(first.identified.families) != list(record.identified.families):
+            differences.append("the terms of their regressors differ in family")
+        if differences:
+            raise UsageError(
+                f"{first.log.label} and {record.log.label}: {differences[0]}; expected one model"
+            )
 
 
 def _chosen(log: CompleteRecording, identified: Mapping[str, Any], identifier: str | None) -> str:
+    """Return the name of an identifier with a model of y, or of the only one."""
+    if identifier in identified:
+        return str(identifier)
     if identifier is not None:
-        if identifier not in identified:
-            raise UsageError(
-                f"{log.label}: no identifier {identifier!r} with a model of y; "
-                f"{nearest(identifier, identified)}"
-            )
-        return identifier
-    partial = partial_of(log.channels)
-    if not identified and partial is not None:
-        raise UsageError(
-            f"{log.label}: expected an identifier with a model of y whose signals are recorded at "
-            f"every step, got none; {partial.reason(log.channels)}"
+        problem = (
+            f"no identifier {identifier!r} with a model of y; {nearest(identifier, identified)}"
         )
-    if not identified:
-        raise UsageError(
-            f"{log.label}: expected an identifier with a model of y, got none; its regressor must "
-            "be driven by a single observer of kind 'unknown-input-observer', with one "
-            "disturbance"
-        )
-    if len(identified) > 1:
-        raise UsageError(
-            f"{log.label}: expected the name of one identifier, as there are several; available: "
+    elif len(identified) == 1:
+        return next(iter(identified))
+    elif identified:
+        problem = (
+            "expected the name of one identifier, as there are several; available: "
             f"{', '.join(identified)}"
         )
-    return next(iter(identified))
+    elif (partial := partial_of(log.channels)) is not None:
+        problem = (
+            "expected an identifier with a model of y whose signals are recorded at every step, "
+            f"got none; {partial.reason(log.channels)}"
+        )
+    else:
+        problem = (
+            "expected an identifier with a model of y, got none; its regressor must be driven by a "
+            "single observer of kind 'unknown-input-observer', with one disturbance"
+        )
+    raise UsageError(f"{log.label}: {problem}")

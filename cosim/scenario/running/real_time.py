@@ -38,6 +38,11 @@ class RealTimePace:
         Returns the wall time [s].
     sleep : callable, optional
         Waits for some seconds.
+
+    Attributes
+    ----------
+    lateness : Lateness
+        How late it was so far.
     """
 
     def __init__(
@@ -53,16 +58,11 @@ class RealTimePace:
         self._now = now
         self._sleep = sleep
         self._began = 0.0
-        self._lateness = Lateness(factor, 0, 0, 0.0, start_time)
+        self.lateness = Lateness(factor, 0, 0, 0.0, start_time)
 
     def begin(self) -> None:
         """Take the wall time of now as that of the start."""
         self._began = self._now()
-
-    @property
-    def lateness(self) -> Lateness:
-        """How late it was so far."""
-        return self._lateness
 
     def wait(self, block: Block) -> None:
         """Wait until the time of the end of a block has come; or note that it has passed."""
@@ -85,10 +85,10 @@ class RealTimePace:
         early = due - self._now()
         if early > 0.0:
             self._sleep(early)
-        before = self._lateness
+        before = self.lateness
         late = max(0.0, -early) if counts else 0.0
         is_latest = late > before.largest
-        self._lateness = Lateness(
+        self.lateness = Lateness(
             before.factor,
             before.blocks + counts,
             before.late + (late > 0.0),
@@ -98,7 +98,7 @@ class RealTimePace:
 
     def end(self, recorder: Recorder, error: BaseException | None) -> None:
         """Record how late the run was, and close the recorder."""
-        values = plain(self._lateness)
+        values = plain(self.lateness)
         try:
             recorder.result({REAL_TIME: values})
         finally:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Nanoseconds, Vector
 from cosim.core.contracts import Block
 from cosim.core.recording import SignalEvent
 
 JUMP: Final = 4.0  # times as much as the steps before and after it: what changes at once
+SIGNIFICANT_JUMP: Final = 1e-6  # of the range of a signal
 SEVERAL: Final = 8  # jumps in the last quarter of a step by chance: one in 65536
 ABOUT: Final = 0.1  # of the largest one
 QUARTERS: Final = 4  # steps of the finest run in one of the run that is certified
@@ -71,51 +71,51 @@ class JumpWatch:
 
     Parameters
     ----------
-    width : int
+    watched : Mask, shape (width,)
         Columns of a row.
+    may_jump : Mask, shape (width,)
+        Which of them may jump at ends of steps of the run that is certified.
 
     Attributes
     ----------
-    within, at_ends : Vector, shape (width,)
-        The largest jump of each column: within a step of the run that is certified, and in the last
-        quarter of one, as a jump at its end is.
-    within_ns, at_ends_ns : Nanoseconds, shape (width,)
-        When those were first seen [ns].
     expected_ns : set of int
         Instants [ns] at which signals jump by actions. The row there has the values before, so that
         the jump is in the step that follows; at a communication point of the run that is certified
         it is none that such a run could miss.
     """
 
-    def __init__(self, width: int) -> None:
-        self.within = np.zeros(width)
-        self.at_ends = np.zeros(width)
-        self.within_ns = np.zeros(width, np.int64)
-        self.at_ends_ns = np.zeros(width, np.int64)
-        self._largest_at_ends = np.zeros((SEVERAL, width))  # the smallest of them first
+    def __init__(self, watched: Mask, may_jump: Mask) -> None:
+        self.expected_ns: set[int] = set()
+        self._columns = np.flatnonzero(watched)
+        self._may_jump = may_jump[watched]
+        width = len(self._columns)
+        # The largest jumps, and when: within a step of the run that is certified, and in the last
+        # quarter of one, as a jump at its end is; of the latter several, the smallest first.
+        self._within = np.zeros(width)
+        self._within_ns = np.zeros(width, np.int64)
+        self._at_ends = np.zeros((SEVERAL, width))
+        self._at_ends_ns = np.zeros(width, np.int64)
         self._smallest = np.full(width, np.inf)
         self._largest = np.full(width, -np.inf)
-        self.expected_ns: set[int] = set()
         # of the steps before the next block
         self._changes = np.zeros((2 * QUARTERS, width))
         self._times = np.zeros(2 * QUARTERS, np.int64)
         self._numbers = np.ones(2 * QUARTERS, np.int64)
 
-    @property
-    def ranges(self) -> Vector:
-        """From the smallest to the largest value of each column; 0 where it has none."""
-        with np.errstate(over="ignore"):
-            ranges: Vector = np.maximum(self._largest - self._smallest, 0.0)
-        return ranges
+    def unexpected(self) -> dict[int, tuple[int, bool]]:
+        """Return by column when it jumps elsewhere than it may [ns], and whether within a step.
 
-    @property
-    def are_regular(self) -> Mask:
-        """Which columns have several jumps at ends, of about one size, shape (width,).
-
-        Were their instants any, a part of them would be within.
+        Of several jumps at ends of about one size all are there: were their instants any, a part of
+        them would be within.
         """
-        regular: Mask = self._largest_at_ends[0] > ABOUT * self._largest_at_ends[-1]
-        return regular
+        with np.errstate(over="ignore"):
+            significant = SIGNIFICANT_JUMP * np.maximum(self._largest - self._smallest, 0.0)
+        are_regular = self._at_ends[0] > ABOUT * self._at_ends[-1]
+        within = self._within > significant
+        at_ends = (self._at_ends[-1] > significant) & ~(self._may_jump | are_regular)
+        times_ns = np.where(within, self._within_ns, self._at_ends_ns)
+        found = np.flatnonzero(within | at_ends)
+        return {int(self._columns[i]): (int(times_ns[i]), bool(within[i])) for i in found}
 
     def expect(self, event: SignalEvent) -> None:
         """Note the instant of an event: signals jump there as they should, behind the row."""
@@ -124,6 +124,7 @@ class JumpWatch:
 
     def take(self, block: Block, signals: Matrix) -> None:
         """Look at the next rows."""
+        signals = signals[:, self._columns]
         self._smallest = np.fmin(self._smallest, np.fmin.reduce(signals))
         self._largest = np.fmax(self._largest, np.fmax.reduce(signals))
         with np.errstate(over="ignore", invalid="ignore"):  # of a run that leaves all bounds
@@ -131,26 +132,19 @@ class JumpWatch:
         changes = np.vstack([self._changes, changes])
         times = np.concatenate([self._times, block.time_ns[1:]])
         numbers = np.concatenate([self._numbers, block.index + np.arange(1, block.steps + 1)])
-        kept = slice(-2 * QUARTERS, None)
-        self._changes = changes[kept]
-        self._times = times[kept]
-        self._numbers = numbers[kept]
+        self._changes = changes[-2 * QUARTERS :]
+        self._times = times[-2 * QUARTERS :]
+        self._numbers = numbers[-2 * QUARTERS :]
         inner = slice(QUARTERS, -QUARTERS)
         jumps = _isolated(changes)
-        times_before = times[QUARTERS - 1 : -QUARTERS - 1]
         if self.expected_ns:
-            jumps[self._is_expected(times_before, numbers[inner])] = 0.0
+            starts = times[QUARTERS - 1 : -QUARTERS - 1]
+            is_expected = np.isin(starts, list(self.expected_ns))
+            jumps[is_expected & (numbers[inner] % QUARTERS == 1)] = 0.0
         is_end = numbers[inner] % QUARTERS == 0
-        _keep(jumps[~is_end], times[inner][~is_end], self.within, self.within_ns)
-        _keep(jumps[is_end], times[inner][is_end], self.at_ends, self.at_ends_ns)
-        at_ends = np.sort(np.vstack([self._largest_at_ends, jumps[is_end]]), axis=0)
-        self._largest_at_ends = at_ends[-SEVERAL:]
-
-    def _is_expected(self, starts_ns: Nanoseconds, numbers: Nanoseconds) -> Mask:
-        """Return which steps begin with jumps by actions, by their starts and numbers."""
-        begin_step = numbers % QUARTERS == 1
-        expected: Mask = begin_step & np.isin(starts_ns, list(self.expected_ns))
-        return expected
+        _keep(jumps[~is_end], times[inner][~is_end], self._within, self._within_ns)
+        _keep(jumps[is_end], times[inner][is_end], self._at_ends[-1].copy(), self._at_ends_ns)
+        self._at_ends = np.sort(np.vstack([self._at_ends, jumps[is_end]]), axis=0)[-SEVERAL:]
 
 
 def _isolated(changes: Matrix) -> Matrix:
@@ -159,24 +153,19 @@ def _isolated(changes: Matrix) -> Matrix:
     Of the first and the last, around which not all are known, there is nothing.
     """
     inner = changes[QUARTERS:-QUARTERS]
-    count = len(inner)
     largest = np.zeros_like(inner)
     for shift in range(2 * QUARTERS + 1):
         if shift != QUARTERS:
-            np.maximum(largest, changes[shift : shift + count], out=largest)
+            np.maximum(largest, changes[shift : shift + len(inner)], out=largest)
     isolated: Matrix = np.where(inner / JUMP > largest, inner, 0.0)
     return isolated
 
 
-def _keep(
-    jumps: Matrix, times: NDArray[np.int64], largest: Vector, instants: NDArray[np.int64]
-) -> None:
+def _keep(jumps: Matrix, times: Nanoseconds, largest: Vector, instants: Nanoseconds) -> None:
     """Keep the largest jump of each column, and its instant."""
-    if not len(jumps):
-        return
-    rows = jumps.argmax(axis=0)
-    columns = np.arange(jumps.shape[1])
-    candidates = jumps[rows, columns]
-    larger = candidates > largest
-    largest[larger] = candidates[larger]
-    instants[larger] = times[rows][larger]
+    if len(jumps):
+        rows = jumps.argmax(axis=0)
+        candidates = jumps.max(axis=0)
+        larger = candidates > largest
+        largest[larger] = candidates[larger]
+        instants[larger] = times[rows][larger]

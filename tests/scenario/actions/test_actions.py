@@ -7,7 +7,7 @@ import pytest
 import cosim
 from cosim.errors import ScenarioError, UsageError
 from cosim.report.inspection import describe_log, describe_scenario
-from cosim.report.verification import verify
+from cosim.report.summary import summarize
 from tests.scenario.actions.replays import verified_replay
 
 BASE = """
@@ -90,9 +90,9 @@ def test_actions_change_signals_at_their_instants(write):
     assert (g[26:, 1] == 7.0).all()
 
 
-def test_every_action_is_an_event_with_its_cause(write):
-    """With what is known of it; what followed at once comes behind."""
-    events = cosim.run(write()).events()
+def test_every_action_is_an_event_with_its_cause(write, tmp_path):
+    """With what is known of it; what followed at once comes behind. Reports show what they need."""
+    events = cosim.run(write(), out=tmp_path / "a.mcap").events()
     own = [(e.time_ns / 1e9, e.cause, e.signal, e.parameters) for e in events]
     own = [event for event in own if event[1] != "follow"]
     assert own == [
@@ -104,272 +104,25 @@ def test_every_action_is_an_event_with_its_cause(write):
         (3.0, "release", "x.u", ()),
     ]
     assert {event.signal for event in events if event.cause == "follow"} == {"g.y"}
-
-
-@pytest.mark.parametrize("block", [1, 3, None])
-def test_the_rows_depend_on_no_block_size(write, tmp_path, block):
-    """One content hash; a replay follows the recorded actions, bit for bit."""
-    log = cosim.run(write(), out=tmp_path / "a.mcap", block=block)
-    assert log.recorded_hash == cosim.run(write(), out=tmp_path / "b.mcap").recorded_hash
-    verified_replay(log)
-
-
-def test_a_session_performs_the_actions_too(write):
-    """At the instants, whatever the steps by hand."""
-    run = cosim.run(write())
-    with cosim.load(write()).start() as sim:
-        rows = sim.step(37)
-    for name in ("x.u", "g.u", "g.y", "x.y"):
-        assert rows[name].squeeze().tolist() == run[name][1:38].tolist()
-
-
-def test_a_replay_may_end_before_the_actions_do(write, tmp_path):
-    """It follows those up to its end."""
-    log = cosim.run(write(), out=tmp_path / "a.mcap")
-    again = cosim.replay(log, set={"scenario.stop": 2.2})
-    assert again["x.u"].tolist() == log["x.u"][:23].tolist()
-
-
-def test_a_replay_keeps_the_actions(write, tmp_path):
-    """They are recorded; another fault is another run."""
-    log = cosim.run(write(), out=tmp_path / "a.mcap")
-    with pytest.raises(
-        UsageError, match=r"set.*actions.0.offset.*: a replay repeats the recorded actions"
-    ):
-        cosim.replay(log, set={"actions.0.offset": 1.0})
+    rows = describe_log(str(tmp_path / "a.mcap"))["overrides"]
+    assert rows[1]["cause"] == "noise 0.1 3 0.2 3"
+    assert rows[4] == {"t": 2.5, "signal": "g.u[1]", "cause": "override", "values": "7"}
+    assert describe_scenario(str(write()))["actions"][2:4] == [
+        {"t": 2.0, "signal": "x.u, log.u", "action": "delay", "value": 0.3},
+        {"t": 2.5, "signal": "g.u[1]", "action": "override", "value": 7.0},
+    ]
 
 
 def test_actions_are_set_from_outside(write):
     """By their number; the log carries the change."""
     run = cosim.run(write(), set={"actions.0.offset": 0.25, "actions.0.at": 0.5})
     assert (run["x.u"][6:21] == run["s.y"][6:21] + 0.25).all()
-    plain = cosim.run(write(), set={"actions": []})
-    assert plain.events() == []
-    assert (plain["x.u"] == plain["s.y"]).all()
+    assert cosim.run(write(), set={"actions": []}).events() == []
     more = [{"at": 1.0, "signal": "x.u", "freeze": True}]
     frozen = cosim.run(write(""), set={"actions": more})
     assert (frozen["x.u"][11:] == frozen["s.y"][10]).all()
-
-
-CASES = {
-    "no time": (
-        'signal = "x.u"\noffset = 1.0',
-        r":32: actions\[0\]: expected .*'at' .*'when' .*, got neither$",
-    ),
-    "time and condition": (
-        'at = 1.0\nwhen = "s.y > 1"\nsignal = "x.u"\noffset = 1.0',
-        r":32: actions\[0\]: expected .*'at' .*'when' .*, got both$",
-    ),
-    "condition on an unknown signal": (
-        'when = "s.z > 1"\nsignal = "x.u"\noffset = 1.0',
-        r":33: actions\[0\]\.when: condition 's\.z > 1': .*'s\.z'",
-    ),
-    "no condition": (
-        'when = "s.y + 1"\nsignal = "x.u"\noffset = 1.0',
-        r"actions\[0\]\.when: ",
-    ),
-    "no signal": (
-        "at = 1.0\noffset = 1.0",
-        r"actions\[0\]: 'signal' is missing; expected an input",
-    ),
-    "nothing that happens": (
-        'at = 1.0\nsignal = "x.u"',
-        r"actions\[0\]: expected .* one of override, freeze, offset, .*, got none$",
-    ),
-    "two things": (
-        'at = 1.0\nsignal = "x.u"\noffset = 1.0\nfreeze = true',
-        r"actions\[0\]: expected .* one of override, .*, got freeze and offset$",
-    ),
-    "unknown key": (
-        'at = 1.0\nsignal = "x.u"\nofset = 1.0',
-        r":35: actions\[0\]\.ofset: unknown key 'ofset'; did you mean 'offset'\? Available: at, ",
-    ),
-    "unknown signal": (
-        'at = 1.0\nsignal = "x.v"\noffset = 1.0',
-        r":34: actions\[0\]\.signal: 'x\.v': 'x' has no input 'v'; available: u$",
-    ),
-    "unknown component": (
-        'at = 1.0\nsignal = "xx.u"\noffset = 1.0',
-        r"actions\[0\]\.signal: 'xx\.u': .*no component 'xx'; did you mean 'x'\?",
-    ),
-    "output": (
-        'at = 1.0\nsignal = "s.y"\noffset = 1.0',
-        r"actions\[0\]\.signal: 's\.y': expected an input of 's', got an output; available: none; "
-        r"'s\.y' drives x\.u, log\.u$",
-    ),
-    "element": (
-        'at = 1.0\nsignal = "g.u[2]"\noffset = 1.0',
-        r"actions\[0\]\.signal: 'g\.u\[2\]': 'g\.u' has 2 elements, numbered from 0",
-    ),
-    "after the end": (
-        'at = 4.0\nsignal = "x.u"\noffset = 1.0',
-        r":33: actions\[0\]\.at: expected a time < 4\.0 s .*, got 4\.0 s",
-    ),
-    "before the start": (
-        'at = -1.0\nsignal = "x.u"\noffset = 1.0',
-        r"actions\[0\]\.at: expected a time >= 0\.0 s .*, got -1\.0 s",
-    ),
-    "between communication points": (
-        'at = 1.05\nsignal = "x.u"\noffset = 1.0',
-        r"actions\[0\]\.at: 1\.05 s is not a whole number of 0\.1 s steps; nearest: 1\.0 s",
-    ),
-    "size of an override": (
-        'at = 1.0\nsignal = "g.u"\noverride = [1.0, 2.0, 3.0]',
-        r"actions\[0\]\.override: override of 'g\.u': expected 2 values.*, got 3 values$",
-    ),
-    "true in place of a number": (
-        'at = 1.0\nsignal = "x.u"\noverride = true',
-        r":35: actions\[0\]\.override: override of 'x\.u': expected numbers, got true or false",
-    ),
-    "size of an offset": (
-        'at = 1.0\nsignal = "g.u"\noffset = [1.0, 2.0, 3.0]',
-        r"actions\[0\]\.offset: expected 2 values .*, got 3$",
-    ),
-    "delay off the grid": (
-        'at = 1.0\nsignal = "x.u"\ndelay = 0.25',
-        r"actions\[0\]\.delay: 0\.25 s is not a whole number of 0\.1 s steps; nearest: 0\.2 s$",
-    ),
-    "no delay": (
-        'at = 1.0\nsignal = "x.u"\ndelay = 0.0',
-        r"actions\[0\]\.delay: expected .* \(0\.1 s\), got 0\.0 s$",
-    ),
-    "negative delay": (
-        'at = 1.0\nsignal = "x.u"\ndelay = -0.2',
-        r"actions\[0\]\.delay: expected .* \(0\.1 s\), got -0\.2 s$",
-    ),
-    "delay that is too small": (
-        'at = 1.0\nsignal = "x.u"\ndelay = 1e-12',
-        r"actions\[0\]\.delay: expected .* \(0\.1 s\), got 1e-12 s$",
-    ),
-    "delay beyond all times": (
-        'at = 1.0\nsignal = "x.u"\ndelay = 1e300',
-        r"actions\[0\]\.delay: 1e\+300 s does not fit into 64-bit nanoseconds",
-    ),
-    "negative deviation": (
-        'at = 1.0\nsignal = "x.u"\nnoise = -0.5',
-        r"actions\[0\]\.noise: .*>= 0, got -0\.5$",
-    ),
-    "seed that no number of the log has": (
-        'at = 1.0\nsignal = "x.u"\nnoise = 0.5\nseed = 9007199254740993',
-        r"actions\[0\]\.seed: expected a number <= 9007199254740992, got 9007199254740993$",
-    ),
-    "probability": (
-        'at = 1.0\nsignal = "x.u"\ndrop = 1.5',
-        r"actions\[0\]\.drop: .*> 0 and <= 1, got 1\.5",
-    ),
-    "seed of nothing": (
-        'at = 1.0\nsignal = "x.u"\noffset = 1.5\nseed = 3',
-        r"actions\[0\]\.seed: .*random numbers \(noise, drop\)",
-    ),
-    "release of nothing": (
-        'at = 1.0\nsignal = "x.u"\nrelease = true',
-        r"actions\[0\]\.signal: 'x\.u' is not overridden as a whole at that time",
-    ),
-    "release that is false": (
-        'at = 1.0\nsignal = "x.u"\nrelease = false',
-        r"actions\[0\]\.release: expected true, got False$",
-    ),
-    "two at once": (
-        'at = 1.0\nsignal = "g.u"\noverride = 1.0\n[[actions]]\nat = 1.0\nsignal = "g.u[1]"\n'
-        "offset = 1.0",
-        r":38: actions\[1\]\.signal: 'g\.u' is also changed by actions\[0\] ",
-    ),
-    "two at one condition": (
-        'when = "t > 1"\nsignal = "g.u"\noverride = 1.0\n[[actions]]\nwhen = "t > 1"\n'
-        'signal = "g.u[1]"\noffset = 1.0',
-        r":38: actions\[1\]\.signal: 'g\.u' is also changed by actions\[0\] ",
-    ),
-    "one signal twice": (
-        'at = 1.0\nsignal = ["g.u", "g.u[1]"]\noverride = 1.0',
-        r"actions\[0\]\.signal: 'g\.u' is listed twice$",
-    ),
-    "wrong type": (
-        'at = 1.0\nsignal = "x.u"\noffset = "much"',
-        r"actions\[0\]\.offset: expected a number or a list of numbers, got 'much'",
-    ),
-}
-
-
-def test_a_wrong_action_is_one_error_before_the_run(write, subtests):
-    """With its line, what was found and what was needed."""
-    for case, (action, text) in CASES.items():
-        with subtests.test(case=case):
-            with pytest.raises(ScenarioError) as caught:
-                cosim.run(write(f"[[actions]]\n{action}\n"))
-            message = str(caught.value)
-            assert len(message.splitlines()) == 1, message
-            assert re.search(text, message), message
-
-
-def test_all_problems_of_the_file_come_together(write):
-    """Of several actions, and of what is wrong beside them."""
-    actions = """
-[[actions]]
-at = 9.0
-signal = "x.u"
-offset = 1.0
-
-[[actions]]
-at = 1.0
-signal = "x.w"
-freeze = true
-
-[[actions]]
-at = 1.0
-signal = "x.u"
-"""
-    with pytest.raises(ScenarioError) as caught:
-        cosim.run(write(actions, BASE.replace("rate = 1.0", "rat = 1.0")))
-    places = [line.split(": ")[1] for line in str(caught.value).splitlines()]
-    assert places == [
-        "components.s.rat",
-        "actions[2]",
-        "actions[0].at",
-        "actions[1].signal",
-    ]
-
-
-def test_actions_that_are_no_list_are_refused(write):
-    """One pair of brackets is a table."""
-    with pytest.raises(ScenarioError, match=r"actions: expected a list, got .*"):
-        cosim.run(write('[actions]\nat = 1.0\nsignal = "x.u"\nfreeze = true\n'))
-
-
-def test_an_unknown_action_cannot_be_set(write):
-    """There are those of the file."""
     with pytest.raises(ScenarioError, match=r"actions has no element '7'; available: 0 to 4"):
         cosim.run(write(), set={"actions.7.at": 1.0})
-    with pytest.raises(
-        ScenarioError,
-        match=r"set\['actions\[0\]\.at'\]: actions has no element '0'; none is available",
-    ):
-        cosim.run(write(""), set={"actions.0.at": 1.0})
-
-
-def test_a_stop_before_an_action_is_refused(write):
-    """Also where it was set from outside."""
-    with pytest.raises(ScenarioError, match=r"actions\[4\]\.at: expected .* got 3\.0 s"):
-        cosim.run(write(), set={"scenario.stop": 3.0})
-
-
-def test_info_shows_the_actions_of_a_scenario_and_the_events_of_a_log(write, tmp_path):
-    """What was asked for, and what came of it."""
-    path = write()
-    content = describe_scenario(str(path))
-    assert content["actions"][2:4] == [
-        {"t": 2.0, "signal": "x.u, log.u", "action": "delay", "value": 0.3},
-        {"t": 2.5, "signal": "g.u[1]", "action": "override", "value": 7.0},
-    ]
-    assert "actions" not in describe_scenario(str(write("")))
-    cosim.run(write(), out=tmp_path / "a.mcap")
-    content = describe_log(str(tmp_path / "a.mcap"))
-    assert content["overrides"][1]["cause"] == "noise 0.1 3 0.2 3"
-    assert content["overrides"][4] == {
-        "t": 2.5,
-        "signal": "g.u[1]",
-        "cause": "override",
-        "values": "7",
-    }
 
 
 CONDITIONAL = """
@@ -394,10 +147,9 @@ set = { "log.time_constant" = 0.1 }
 """
 
 
-@pytest.mark.parametrize("block", [1, 5, None])
-def test_actions_happen_where_conditions_come_true(write, tmp_path, block):
-    """Each once; recorded and replayed; what never came true is said."""
-    log = cosim.run(write(CONDITIONAL), out=tmp_path / "a.mcap", block=block)
+def test_actions_happen_where_conditions_come_true(write):
+    """Each once; what never came true is said."""
+    log = cosim.run(write(CONDITIONAL))
     s = log["s.y"]
     x = log["x.u"]
     first = int((s > 1.8).argmax())
@@ -409,36 +161,124 @@ def test_actions_happen_where_conditions_come_true(write, tmp_path, block):
     own = [event[1:3] for event in log.events() if event.cause != "follow"]
     assert own == [("override", "x.u"), ("set", "log.time_constant"), ("release", "x.u")]
     assert log.results["never_came_true"] == ["s.y < -5"]
-    assert log.recorded_hash == cosim.run(write(CONDITIONAL), out=tmp_path / "b.mcap").recorded_hash
-    verification = verify(log, cosim.replay(log))
-    assert verification.passed, verification.lines()
-    again = cosim.replay(log, out=tmp_path / "c.mcap")
-    assert verify(again, cosim.replay(again)).passed
+    assert summarize(log).never_came_true == ("s.y < -5",)
 
 
-def test_a_session_meets_the_conditions_too(write, tmp_path):
-    """With a log of its own that says which never came true."""
-    run = cosim.run(write(CONDITIONAL))
-    with cosim.load(write(CONDITIONAL)).start(out=tmp_path / "a.mcap") as sim:
-        rows = sim.step(40)
-    assert rows["x.u"][:, 0].tolist() == run["x.u"][1:].tolist()
-    log = cosim.open_log(tmp_path / "a.mcap")
-    assert log.results["never_came_true"] == ["s.y < -5"]
-    assert log.events() == run.events()
+@pytest.mark.parametrize("actions", [ACTIONS, CONDITIONAL], ids=["timed", "conditional"])
+def test_runs_replays_and_sessions_act_alike(write, tmp_path, actions):
+    """One content hash for blocks of any size; a replay of the replay has the bits, too."""
+    path = write(actions)
+    log = cosim.run(path, out=tmp_path / "a.mcap")
+    for block in (1, 3):
+        other = cosim.run(path, out=tmp_path / "b.mcap", block=block, force=True)
+        assert other.recorded_hash == log.recorded_hash
+    verified_replay(cosim.replay(log, out=tmp_path / "c.mcap"))
+    with cosim.load(path).start(out=tmp_path / "d.mcap") as sim:
+        sim.step(17)
+        sim.step(23)
+    session = cosim.open_log(tmp_path / "d.mcap")
+    assert session.recorded_hash == log.recorded_hash
+    assert session.events() == log.events()
 
 
-def test_a_component_is_set_at_a_condition_or_at_times(write):
-    """What it would be else depends on which comes first."""
-    actions = CONDITIONAL + '[[actions]]\nat = 1.0\nset = { "log.time_constant" = 0.2 }\n'
-    with pytest.raises(
-        ScenarioError, match=r"actions\[4\]\..*'log' is also changed by actions\[3\]"
-    ):
-        cosim.run(write(actions))
+def test_a_replay_repeats_the_recorded_actions(write, tmp_path):
+    """Those up to its end; another fault is another run."""
+    log = cosim.run(write(), out=tmp_path / "a.mcap")
+    again = cosim.replay(log, set={"scenario.stop": 2.2})
+    assert again["x.u"].tolist() == log["x.u"][:23].tolist()
+    with pytest.raises(UsageError, match=r"actions.0.offset.*: a replay repeats the recorded"):
+        cosim.replay(log, set={"actions.0.offset": 1.0})
 
 
-def test_the_summary_says_which_conditions_never_came_true(write, capsys):
-    """So that an action that never happened is not overlooked."""
-    from cosim.report.summary import summarize
+OFFSET = {"at": 1.0, "signal": "x.u", "offset": 1.0}
+G = {"at": 1.0, "signal": "g.u", "override": 1.0}
 
-    summary = summarize(cosim.run(write(CONDITIONAL)))
-    assert summary.never_came_true == ("s.y < -5",)
+
+def on(signal="x.u", **effects):
+    """Return an action at 1 s."""
+    return {"at": 1.0, "signal": signal, **effects}
+
+
+REFUSED = [  # actions, the key of what is wrong, words of the message
+    ([{"signal": "x.u", "offset": 1.0}], "[0]", "'at' .*'when' .*, got neither"),
+    ([{**OFFSET, "when": "s.y > 1"}], "[0]", "'at' .*'when' .*, got both"),
+    ([{"when": "s.z > 1", "signal": "x.u", "offset": 1.0}], "[0].when", r"'s\.z > 1': .*'s\.z'"),
+    ([{"when": "s.y + 1", "signal": "x.u", "offset": 1.0}], "[0].when", "comparison"),
+    ([{"at": 1.0, "offset": 1.0}], "[0]", "'signal' is missing"),
+    ([on()], "[0]", "one of override, freeze, offset, .*, got none"),
+    ([on(offset=1.0, freeze=True)], "[0]", "one of .*, got freeze and offset"),
+    ([on(ofset=1.0)], "[0].ofset", "did you mean 'offset'"),
+    ([on("x.v", offset=1.0)], "[0].signal", "'x' has no input 'v'; available: u"),
+    ([on("xx.u", offset=1.0)], "[0].signal", "no component 'xx'; did you mean 'x'"),
+    ([on("s.y", offset=1.0)], "[0].signal", r"got an output; .*'s\.y' drives x\.u, log\.u"),
+    ([on("g.u[2]", offset=1.0)], "[0].signal", r"'g\.u' has 2 elements"),
+    ([{**OFFSET, "at": 4.0}], "[0].at", r"a time < 4\.0 s .*, got 4\.0 s"),
+    ([{**OFFSET, "at": -1.0}], "[0].at", r"a time >= 0\.0 s .*, got -1\.0 s"),
+    ([{**OFFSET, "at": 1.05}], "[0].at", r"1\.05 s is not .* 0\.1 s steps; nearest: 1\.0 s"),
+    ([on("g.u", override=[1.0, 2.0, 3.0])], "[0].override", "expected 2 values.*, got 3"),
+    ([on(override=True)], "[0].override", "expected numbers, got true or false"),
+    ([on("g.u", offset=[1.0, 2.0, 3.0])], "[0].offset", "expected 2 values .*, got 3"),
+    ([on(offset="much")], "[0].offset", "a number or a list of numbers, got 'much'"),
+    ([on(delay=0.25)], "[0].delay", r"not .* 0\.1 s steps; nearest: 0\.2 s"),
+    ([on(delay=1e-12)], "[0].delay", r"\(0\.1 s\), got 1e-12 s"),
+    ([on(delay=1e300)], "[0].delay", "does not fit into 64-bit nanoseconds"),
+    ([on(noise=-0.5)], "[0].noise", r">= 0, got -0\.5"),
+    ([on(noise=0.5, seed=2**53 + 1)], "[0].seed", f"<= {2**53}, got {2**53 + 1}"),
+    ([on(offset=1.5, seed=3)], "[0].seed", r"random numbers \(noise, drop\)"),
+    ([on(drop=1.5)], "[0].drop", r"> 0 and <= 1, got 1\.5"),
+    ([on(release=True)], "[0].signal", r"'x\.u' is not overridden as a whole"),
+    ([on(release=False)], "[0].release", "expected true, got False"),
+    ([G, on("g.u[1]", offset=1.0)], "[1].signal", r"'g\.u' is also changed by actions\[0\]"),
+    ([on(["g.u", "g.u[1]"], override=1.0)], "[0].signal", r"'g\.u' is listed twice"),
+]
+
+
+def test_a_wrong_action_is_one_error_before_the_run(write, subtests):
+    """With its place, what was found and what was needed."""
+    path = write("")
+    for actions, key, words in REFUSED:
+        with subtests.test(actions=actions):
+            with pytest.raises(ScenarioError) as caught:
+                cosim.run(path, set={"actions": actions})
+            message = str(caught.value)
+            assert len(message.splitlines()) == 1, message
+            assert re.search(rf"actions{re.escape(key)}: .*{words}", message), message
+
+
+def test_all_problems_of_the_file_come_together(write):
+    """Of several actions, with their lines, and of what is wrong beside them."""
+    actions = """
+[[actions]]
+at = 9.0
+signal = "x.u"
+offset = 1.0
+
+[[actions]]
+when = "t > 1"
+signal = "g.u"
+freeze = true
+
+[[actions]]
+when = "t > 1"
+signal = ["x.w", "g.u[0]"]
+freeze = true
+
+[[actions]]
+at = 1.0
+signal = "x.u"
+"""
+    path = write(actions, BASE.replace("rate = 1.0", "rat = 1.0"))
+    with pytest.raises(ScenarioError) as caught:
+        cosim.run(path)
+    lines = path.read_text().splitlines()
+    places = []
+    for problem in str(caught.value).splitlines():
+        place, key, _ = problem.removeprefix(f"{path}:").split(": ", 2)
+        places.append((lines[int(place) - 1], key))
+    assert places == [
+        ("rat = 1.0", "components.s.rat"),
+        ("[[actions]]", "actions[3]"),
+        ("at = 9.0", "actions[0].at"),
+        ('signal = ["x.w", "g.u[0]"]', "actions[2].signal"),
+        ('signal = ["x.w", "g.u[0]"]', "actions[2].signal"),
+    ]

@@ -1,5 +1,6 @@
 """Parameters that actions set: what changes, what stays, what is recorded and refused."""
 
+import math
 import re
 
 import numpy as np
@@ -10,6 +11,7 @@ from cosim.core.recording import SignalEvent
 from cosim.errors import LogError, ScenarioError
 from cosim.report.inspection import describe_log, describe_scenario
 from cosim.report.verification import verify
+from cosim.scenario.running.replay import replays_of
 from tests.fmi.eventful import friction
 from tests.scenario.actions.replays import verified_replay
 
@@ -95,27 +97,35 @@ def test_states_stay(write):
     assert events["pid.y"][0] == pytest.approx(1.0 * (e - x[25]) + integral[25], abs=1e-14)
 
 
-@pytest.mark.parametrize("block", [1, 3, None])
-def test_a_replay_sets_what_was_recorded(write, tmp_path, block):
-    """One content hash; bit for bit, with the designs of the log."""
-    log = cosim.run(write(), out=tmp_path / "a.mcap", block=block)
-    assert log.recorded_hash == cosim.run(write(), out=tmp_path / "b.mcap").recorded_hash
+def test_a_replay_sets_what_was_recorded(write, tmp_path):
+    """One content hash, whatever the blocks; bit for bit, with the designs of the log."""
+    log = cosim.run(write(), out=tmp_path / "a.mcap")
+    for block in (1, 3):
+        assert cosim.run(write(), out=tmp_path / f"{block}.mcap", block=block).recorded_hash == (
+            log.recorded_hash
+        )
     verified_replay(log)
     assert set(log.metadata["cosim.settings"]) >= {"1000000000 x", "2500000000 pid"}
     other = cosim.replay(log, set={"x.time_constant": 1.0})
     assert (other["x.y"][1:11] != log["x.y"][1:11]).all()
+    first = describe_log(str(tmp_path / "a.mcap"))["overrides"][0]
+    assert first == {"t": 1.0, "signal": "g.K", "cause": "set", "values": "3"}
+    row = describe_scenario(str(write()))["actions"][0]
+    assert (row["signal"], row["value"]) == ("g.K, x.time_constant", "3.0, 0.25")
 
 
-def test_a_session_sets_them_too(write):
-    """And goes back over them."""
-    run = cosim.run(write())
-    with cosim.load(write()).start() as sim:
-        sim.step(15)
-        saved = sim.state
-        first = sim.step(20)
-        assert first["pid.y"][:, 0].tolist() == run["pid.y"][16:36].tolist()
-        sim.state = saved
-        assert sim.step(20)["x.y"][:, 0].tolist() == run["x.y"][16:36].tolist()
+def test_designs_that_are_set_at_a_condition_are_verified(write, tmp_path):
+    """Those of the log against what they are computed to anew; another one is found."""
+    action = '[[actions]]\nwhen = "s.y > 1.5"\nset = { "x.time_constant" = 0.25 }\n'
+    log = cosim.run(write(action), out=tmp_path / "a.mcap")
+    replays = replays_of(log)
+    designs = replays.designs()
+    (name,) = [name for name in designs if name.endswith(" x")]
+    assert verify(log, cosim.replay(log), designs).passed
+    designs[name] = {key: 1.5 * values for key, values in designs[name].items()}
+    problems = verify(log, cosim.replay(log), designs).problems
+    assert problems
+    assert all(f"designs.{name}" in problem for problem in problems)
 
 
 OBSERVED = """
@@ -176,134 +186,58 @@ x = {{ kind = "lag", time_constant = 0.5 }}
         cosim.run(write(actions.replace("fmu.p", "fmu.q"), base))
 
 
-def test_info_shows_what_is_set(write, tmp_path):
-    """In the scenario and in the log."""
-    row = describe_scenario(str(write()))["actions"][0]
-    assert row == {
-        "t": 1.0,
-        "signal": "g.K, x.time_constant",
-        "action": "set",
-        "value": "3.0, 0.25",
-    }
-    cosim.run(write(), out=tmp_path / "a.mcap")
-    first = describe_log(str(tmp_path / "a.mcap"))["overrides"][0]
-    assert first == {"t": 1.0, "signal": "g.K", "cause": "set", "values": "3"}
+def on(**setting):
+    """Return an action at 1 s."""
+    return {"at": 1.0, **setting}
 
 
-def test_a_setting_is_set_from_outside(write):
-    """By its number and its name."""
-    run = cosim.run(write(), set={"actions.0.set.g.K": 5.0})
-    assert (run["g.y"][11:21] == 5.0 * run["s.y"][11:21]).all()
+def sets(name, value=1.0, **when):
+    """Return an action that sets a parameter."""
+    return {**(when or {"at": 1.0}), "set": {name: value}}
 
 
-CASES = {
-    "unknown component": (
-        'set = { "h.K" = 1.0 }',
-        r":27: actions\[0\]\.set\.h\.K: .*no component 'h'; available: s, c",
+LATER = {"when": "x.y > 1"}
+REFUSED = [  # actions, the key of what is wrong, words of the message
+    ([sets("h.K")], "[0].set.h.K", "no component 'h'; available: s, c"),
+    ([sets("x.initial")], "[0].set.x.initial", "no tunable .*; available: time_constant$"),
+    ([sets("pid.gian")], "[0].set.pid.gian", r"did you mean 'gain'\? Available: gain, "),
+    ([sets("g.K", "much")], "[0].set.g.K", "expected a number .*, got 'much'"),
+    ([sets("g.K", math.inf)], "[0].set.g.K", "expected a finite number, got inf"),
+    ([sets("x.time_constant", -1.0)], "[0].set.x.time_constant", r"> 0, got -1\.0 s"),
+    ([sets("c.value", [1.0, 2.0, 3.0])], "[0].set.c.value", "direct feedthrough of 'c'"),
+    ([sets("c.value", True)], "[0].set.c.value", "a number or .*, got True"),
+    ([sets("c.value", [True, False])], "[0].set.c.value", r"a number or .*, got \[True, False\]"),
+    ([sets("c.value", [[1.0], [2.0]])], "[0].set.c.value", r"got \[\[1\.0\], \[2\.0\]\]"),
+    ([sets("x.time_constant", {"a": 1})], "[0].set.x.time_constant", r"got \{'a': 1\}"),
+    ([sets("flag.value", 0.0)], "[0].set.flag.value", r"true or false, got 0\.0"),
+    ([sets("g")], "[0].set.g", "tunable parameter of 'g', got none; available: K"),
+    ([sets("k.A", [[1.0]])], "[0].set.k.A", "no tunable parameter 'A'; none is available"),
+    ([sets("pid.tracking_time")], "[0].set.pid.tracking_time", "in the table of 'pid'"),
+    ([on(signal="x.u", set={"g.K": 1.0})], "[0].signal", "not allowed with 'set'"),
+    ([on(set={})], "[0].set", "a parameter and its value, got an empty table"),
+    ([on(swap={})], "[0].swap", r"a component and its \.fmu, got an empty table"),
+    ([sets("g.K"), sets("g.K")], "[1].set.g.K", r"changed by actions\[0\] at the same instant"),
+    ([sets("g.K"), sets("g.K", **LATER)], "[1].set.g.K", r"actions\[0\], .*condition"),
+    ([sets("g.K", **LATER), sets("g.K")], "[1].set.g.K", r"actions\[0\], .*condition"),
+    ([sets("g.K", **LATER), sets("g.K", **LATER)], "[1].set.g.K", "at the same instant"),
+    (
+        [sets("g.K", **LATER), sets("g.K", when="t > 2")],
+        "[1].set.g.K",
+        r"actions\[0\], .*condition",
     ),
-    "not tunable": (
-        'set = { "x.initial" = 1.0 }',
-        r"set\.x\.initial: 'x' has no tunable parameter 'initial'; available: time_constant$",
-    ),
-    "unknown parameter": (
-        'set = { "pid.gian" = 1.0 }',
-        r"'pid' has no tunable parameter 'gian'; did you mean 'gain'\? Available: gain, ",
-    ),
-    "wrong type": (
-        'set = { "g.K" = "much" }',
-        r"set\.g\.K: expected a number .*, got 'much'",
-    ),
-    "wrong value": (
-        'set = { "x.time_constant" = -1.0 }',
-        r"set\.x\.time_constant: lag: time_constant: .*> 0, got -1\.0 s",
-    ),
-    "another size": (
-        'set = { "c.value" = [1.0, 2.0, 3.0] }',
-        r"actions\[0\]\.set\.c\.value: .*signals or the direct feedthrough of 'c'",
-    ),
-    "beside a signal": (
-        'signal = "x.u"\nset = { "g.K" = 1.0 }',
-        r"actions\[0\]\.signal: not allowed with 'set'",
-    ),
-    "true for a number": (
-        'set = { "c.value" = true }',
-        r"set\.c\.value: expected a number or a list of numbers, got True$",
-    ),
-    "true among numbers": (
-        'set = { "c.value" = [true, false] }',
-        r"set\.c\.value: expected a number .*, got \[True, False\]$",
-    ),
-    "a number for true": (
-        'set = { "flag.value" = 0.0 }',
-        r"set\.flag\.value: expected true or false, got 0\.0$",
-    ),
-    "twice": (
-        'set = { "g.K" = 1.0 }\n[[actions]]\nat = 1.0\nset = { "g.K" = 2.0 }',
-        r"actions\[1\]\.set\.g\.K: 'g' is also changed by actions\[0\] at the same instant; ",
-    ),
-    "before or after a condition": (
-        'set = { "g.K" = 1.0 }\n[[actions]]\nwhen = "x.y > 1"\nset = { "g.K" = 2.0 }',
-        r"actions\[1\]\.set\.g\.K: 'g' is also changed by actions\[0\], .*condition",
-    ),
-    "at two conditions": (
-        'set = { "x.time_constant" = 1.0 }\n[[actions]]\nwhen = "x.y > 1"\nset = { "g.K" = 2.0 }\n'
-        '[[actions]]\nwhen = "x.y > 2"\nset = { "g.K" = 3.0 }',
-        r"actions\[2\]\.set\.g\.K: 'g' is also changed by actions\[1\], .*condition",
-    ),
-    "twice at one condition": (
-        'set = { "x.time_constant" = 1.0 }\n[[actions]]\nwhen = "x.y > 1"\nset = { "g.K" = 2.0 }\n'
-        '[[actions]]\nwhen = "x.y > 1"\nset = { "g.K" = 3.0 }',
-        r"actions\[2\]\.set\.g\.K: 'g' is also changed by actions\[1\] at the same instant; ",
-    ),
-    "no parameter": (
-        'set = { "g" = 1.0 }',
-        r"actions\[0\]\.set\.g: expected a tunable parameter of 'g', got none; available: K$",
-    ),
-    "matrix that is not tunable": (
-        'set = { "k.A" = [[1.0]] }',
-        r"set\.k\.A: 'k' has no tunable parameter 'A'; none is available$",
-    ),
-    "what the table leaves out": (
-        'set = { "pid.tracking_time" = 1.0 }',
-        r"expected a number or a list .* 'tracking_time' in the table of 'pid'$",
-    ),
-    "matrix of an unknown component": (
-        'set = { "h.K" = [[1.0]] }',
-        r"actions\[0\]\.set\.h\.K: .*no component 'h'; available: s, c",
-    ),
-    "matrix for a number": (
-        'set = { "x.time_constant" = [[1.0]] }',
-        r"set\.x\.time_constant: expected .*, got \[\[1\.0\]\]$",
-    ),
-    "matrix for a row": (
-        'set = { "c.value" = [[1.0], [2.0]] }',
-        r"set\.c\.value: expected .*, got \[\[1\.0\], \[2\.0\]\]$",
-    ),
-    "table": (
-        'set = { "x.time_constant" = { a = 1 } }',
-        r"set\.x\.time_constant: expected .*, got \{'a': 1\}$",
-    ),
-    "infinity": ('set = { "g.K" = inf }', r"set\.g\.K: expected a finite number, got inf"),
-    "nothing": (
-        "set = {}",
-        r"actions\[0\]\.set: expected a parameter and its value, got an empty table$",
-    ),
-    "no swap": (
-        "swap = {}",
-        r"actions\[0\]\.swap: expected a component and its \.fmu, got an empty table$",
-    ),
-}
+]
 
 
 def test_a_wrong_setting_is_one_error_before_the_run(write, subtests):
-    """With its line, what was found and what was needed."""
-    for case, (action, text) in CASES.items():
-        with subtests.test(case=case):
+    """With its place, what was found and what was needed."""
+    path = write("")
+    for actions, key, words in REFUSED:
+        with subtests.test(actions=actions):
             with pytest.raises(ScenarioError) as caught:
-                cosim.run(write(f"[[actions]]\nat = 1.0\n{action}\n"))
+                cosim.run(path, set={"actions": actions})
             message = str(caught.value)
             assert len(message.splitlines()) == 1, message
-            assert re.search(text, message), message
+            assert re.search(rf"actions{re.escape(key)}: .*({words})", message), message
 
 
 def test_a_parameter_of_a_design_model_cannot_be_set():

@@ -141,38 +141,6 @@ def test_a_session_stops_where_its_condition_came_true(tmp_path):
     assert other.content_hash() == log.content_hash()
 
 
-def test_an_end_that_leaves_a_session_leaves_its_log_complete(tmp_path):
-    """Where nobody catches it, as in a loop up to the stop: its rows and its reason are there."""
-    end = end_of(tmp_path)
-    out = tmp_path / "a.mcap"
-    sim = cosim.load(file(tmp_path, HALF)).start(out=out)
-
-    def step_to_the_stop():
-        with sim:
-            while sim.steps_left:
-                assert len(sim.step(3)["x.y"]) == 3  # of all steps, or none
-
-    with pytest.raises(Stopped) as stop:
-        step_to_the_stop()
-    assert sim.rows.steps == (end - 1) % 3 + 1
-    assert sim.rows["x.y"][-1] == cosim.open_log(out)["x.y"][-1]
-    log = cosim.open_log(out)
-    assert (log.status, log.reason, log.steps) == ("complete", str(stop.value), end)
-
-
-def test_a_session_that_goes_on_to_its_stop_says_so(tmp_path):
-    """One that is closed before says nothing of the condition but that it did not come true."""
-    path = file(tmp_path, 'until = "x.y > 5"')
-    with cosim.load(path).start(out=tmp_path / "a.mcap") as sim:
-        sim.step(40)
-    assert cosim.open_log(tmp_path / "a.mcap").messages()[-1].text.endswith("never met")
-    with cosim.load(path).start(out=tmp_path / "b.mcap") as sim:
-        sim.step(4)
-    log = cosim.open_log(tmp_path / "b.mcap")
-    assert log.reason.startswith("the session was closed at t = 0.4 s")
-    assert summarize(log).until_came_true is False
-
-
 @pytest.mark.slow
 def test_a_signal_without_a_value_ends_no_run(tmp_path):
     """theta_hat has none at first: then it is neither below 0 nor not above it."""

@@ -1,6 +1,5 @@
 """Elements of an input are connected one by one in a scenario, and its components swapped."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -101,13 +100,6 @@ def test_a_map_names_an_output_by_the_element_that_it_drives(path, other):
     assert run["plant.u[0]"].tolist() == run["a.y"].tolist()
 
 
-def test_a_plant_in_the_others_place_is_taken_from_a_log(path, tmp_path):
-    """The recorded plant has the same input."""
-    log = cosim.run(path, out=tmp_path / "one.mcap")
-    again = cosim.run(path, swap={"plant": tmp_path / "one.mcap"})
-    assert again["meter.y"].tobytes() == log["meter.y"].tobytes()
-
-
 def test_a_replay_takes_the_designs_and_other_connections(path, tmp_path):
     """Bit for bit; with another source of one element as in a new run."""
     log = cosim.run(path, out=tmp_path / "one.mcap")
@@ -116,20 +108,6 @@ def test_a_replay_takes_the_designs_and_other_connections(path, tmp_path):
     new = cosim.run(path, set=change)
     again = cosim.replay(tmp_path / "one.mcap", set=change)
     assert again["plant.y"].tobytes() == new["plant.y"].tobytes()
-
-
-@pytest.mark.slow
-def test_a_dry_run_and_info_show_every_connection(path, call):
-    """In the file's order, with gain and offset."""
-    change = 'connections.plant.u[1]={ from = "b.y", gain = 2.0, offset = 1.0 }'
-    code, _out, err = call("run", path, "--set", change, "--dry-run")
-    assert (code, err) == (0, "")
-    rows = json.loads(call("info", path, "--json")[1])["connections"]
-    assert [(row["to"], row["from"]) for row in rows] == [
-        ("plant.u[1]", "b.y"),
-        ("plant.u[0]", "a.y"),
-        ("meter.u", "plant.y"),
-    ]
 
 
 def test_wrong_elements_are_named(path):
@@ -178,23 +156,6 @@ def test_an_element_that_cannot_be_read_is_the_one_problem(path, wrong):
         cosim.load(path)
     first, second = str(error.value).splitlines()
     assert "plant.toml:17: connections.plant.u[1]: 'b.yy': 'b' has no output" in second + first
-
-
-def test_an_identifier_waits_for_its_elements():
-    """What reads the driver of a wrong element is not reported too."""
-    document = find("academic")
-    text = document.text.replace('"identifier.regressor" =', '"identifier.regressor[0]" = 5.0 #')
-    with pytest.raises(ScenarioError, match=r"identifier\.regressor\[0\]") as error:
-        parse(replace(document, text=text))
-    assert len(str(error.value).splitlines()) == 1
-
-
-def test_a_swap_with_an_element_that_is_not_there_is_refused(path, other):
-    """By the connection, though the swap is compared at the same time."""
-    names = {"plant.u": ["force", "torque"], "plant.y": "out"}
-    change = {"connections.plant.u[5]": "a.y"}
-    with pytest.raises(ScenarioError, match=r"'plant\.u' has 2 elements, numbered from 0"):
-        cosim.run(path, swap={"plant": other}, map=names, set=change)
 
 
 def test_a_swap_with_a_source_that_has_no_such_element_names_its_line(path, other):

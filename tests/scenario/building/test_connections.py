@@ -4,17 +4,14 @@ These FMUs do not declare what feeds through.
 """
 
 import json
-import zipfile
 
-import numpy as np
 import pytest
 
 import cosim
 from cosim.cli import main
 from cosim.errors import ScenarioError
-from cosim.fmi.reading.model_description import read
+from cosim.report.inspection import describe_scenario
 from cosim.scenario.exporting import export_component
-from cosim.units import base_unit
 from tests.scenario.fmu_edits import rewritten
 from tests.scenario.refusals import check_refused
 
@@ -103,39 +100,11 @@ def test_a_conversion_is_recorded_and_replayed_bit_for_bit(units, tmp_path):
     assert plain == {"from": "sensor.y", "gain": 2.0, "offset": -3.0, "unit": None}
 
 
-def test_a_table_has_the_units_of_its_first_line(tmp_path):
-    """Each column its own, the times too: 3 kN and 36 km/h at 50 ms are 3000 N and 10 m/s."""
-    (tmp_path / "f.csv").write_text("t [ms],force [kN],speed [km/h]\n0,1,0\n100,5,72\n")
-    text = """
-        scenario = { name = "a", stop = 0.1, step = 0.05 }
-        [components]
-        table = { kind = "table", file = "f.csv" }
-        lag = { kind = "lag", time_constant = 1.0, size = 2, unit = { u = ["N", "m/s"] } }
-        [connections]
-        "lag.u" = "table.y"
-    """
-    (tmp_path / "a.toml").write_text(text)
-    log = cosim.run(tmp_path / "a.toml")
-    assert log.signals["table.y"].unit == ("kN", "km/h")
-    assert log["lag.u"].tolist() == [[1e3, 0.0], [3e3, 10.0], [5e3, 20.0]]
-    (tmp_path / "f.csv").write_text("t [ms],force [kN],speed\n0,1,0\n100,5,72\n")
-    with pytest.raises(ScenarioError, match="'force' in kN, 'speed' in no unit"):
-        cosim.run(tmp_path / "a.toml")
-
-
-def test_info_shows_what_is_converted(units, capsys):
+def test_info_shows_what_is_converted(units):
     """From which unit to which, and how."""
-    with pytest.raises(SystemExit) as ended:
-        main(["info", str(units), "--json"])
-    assert ended.value.code in (0, None)
-    rows = {row["to"]: row for row in json.loads(capsys.readouterr().out)["connections"]}
-    assert rows["sensor.u"] == {
-        "to": "sensor.u",
-        "from": "room.y",
-        "map": None,
-        "unit": "degC -> K",
-        "conversion": "((v * 1.0 + 273.15) - 0.0) / 1.0",
-    }
+    rows = {row["to"]: row for row in describe_scenario(str(units))["connections"]}
+    assert rows["sensor.u"]["unit"] == "degC -> K"
+    assert rows["sensor.u"]["conversion"] == "((v * 1.0 + 273.15) - 0.0) / 1.0"
     assert (rows["readout.u"]["map"], rows["readout.u"]["unit"]) == ("2.0 v - 3.0", "K -> degC")
 
 
@@ -166,68 +135,15 @@ unit = "mm"
 """
 
 
-@pytest.mark.slow
-def test_units_of_an_fmu_are_what_it_defines(tmp_path):
-    """The definitions count, not the names: a temperature u by factor and offset, a length y.
-
-    A replay takes both from the log.
-    """
-    plain = tmp_path / "plain.fmu"
-    path = tmp_path / "units.fmu"
-    log = tmp_path / "fmu.mcap"
-    export_component("academic", "plant", plain)
-    definitions = (
-        '</CoSimulation><UnitDefinitions><Unit name="F"><BaseUnit K="1" factor="0.5" '
-        'offset="255.0"/></Unit>'
-        '<Unit name="long"><BaseUnit m="1" factor="0.25"/></Unit></UnitDefinitions>'
-    )
-    with zipfile.ZipFile(plain) as source, zipfile.ZipFile(path, "w") as target:
-        for name in source.namelist():
-            content = source.read(name)
-            if name == "modelDescription.xml":
-                text = content.decode().replace("</CoSimulation>", definitions)
-                content = text.replace(
-                    '<Real start="0.0" />', '<Real start="0.0" unit="F"/>', 1
-                ).replace("<Real />", '<Real unit="long"/>', 1)
-            target.writestr(name, content)
-    (tmp_path / "fmu.toml").write_text(FMU.format(path=path))
-    run = cosim.run(tmp_path / "fmu.toml", out=log)
-    assert (run["plant.u"] == ((run["u.y"] + 273.15) - 255.0) / 0.5).all()
-    assert (run["readout.u"] == run["plant.y"] * 0.25 / 1e-3).all()
-    assert cosim.diff(run, cosim.replay(log)).equal
-    assert cosim.open_log(log).channels["plant"].interface.inputs[0].base.offset == 255.0
-
-
-@pytest.mark.slow
-def test_an_exported_fmu_defines_its_units(units, tmp_path):
-    """Factor and offset too: the readout in degC is connected to K as the component is."""
-    path = tmp_path / "readout.fmu"
-    export_component(str(units), "readout", path)
-    interface = read(path).description.interface
-    assert [signal.base for signal in (*interface.inputs, *interface.outputs)] == [
-        base_unit("degC")
-    ] * 2
-    assert base_unit("degC").offset == 273.15
-
-
 def test_units_that_cannot_be_converted_are_refused(units):
-    """With both of them and the way out."""
-    units.write_text(UNITS.format(readout="Pa"))
-    with pytest.raises(
-        ScenarioError,
-        match=r"sensor\.y -> readout\.u: .*'K'.*'Pa'",
-    ):
-        cosim.run(units)
-
-
-def test_an_unknown_unit_is_refused_where_it_meets_another(units):
-    """One that a component's table declares too, unless a connection takes its values as they are.
+    """Also one that is not known, unless a connection takes its values as they are.
 
     What a connection names has to be known: it is converted.
     """
     units.write_text(UNITS.format(readout="degF"))
     scaled = {"from": "sensor.y", "gain": 2.0, "unit": "NM"}
     cases = [
+        ({"readout.unit": "Pa"}, r"sensor\.y -> readout\.u: .*'K'.*'Pa'"),
         ({"sensor.unit": "parsec"}, r"sensor\.y -> readout\.u: 'parsec' is not known.*\"as is\""),
         (
             {"sensor.unit": {"u": "degF", "y": "furlong"}},
@@ -242,6 +158,31 @@ def test_an_unknown_unit_is_refused_where_it_meets_another(units):
     assert (log["readout.u"] == log["sensor.y"]).all()
     sensor = next(channel for channel in log.channels.values() if channel.name == "sensor")
     assert sensor.interface.by_name["y"].unit == "furlong"
+
+
+def test_units_of_an_fmu_are_what_it_defines(tmp_path):
+    """The definitions count, not the names: a temperature u by factor and offset, a length y."""
+    plain = tmp_path / "plain.fmu"
+    path = tmp_path / "units.fmu"
+    export_component("academic", "plant", plain)
+    definitions = (
+        '</CoSimulation><UnitDefinitions><Unit name="F"><BaseUnit K="1" factor="0.5" '
+        'offset="255.0"/></Unit>'
+        '<Unit name="long"><BaseUnit m="1" factor="0.25"/></Unit></UnitDefinitions>'
+    )
+    given = '<Real start="0.0" unit="F"/>'
+    rewritten(
+        plain,
+        path,
+        ("</CoSimulation>", definitions),
+        ('<Real start="0.0" />', given),
+        ("<Real />", '<Real unit="long"/>'),
+    )
+    (tmp_path / "fmu.toml").write_text(FMU.format(path=path))
+    log = cosim.run(tmp_path / "fmu.toml", out=tmp_path / "fmu.mcap")
+    assert (log["plant.u"] == ((log["u.y"] + 273.15) - 255.0) / 0.5).all()
+    assert (log["readout.u"] == log["plant.y"] * 0.25 / 1e-3).all()
+    assert cosim.diff(log, cosim.replay(log)).equal
 
 
 def test_a_unit_of_an_fmu_that_is_not_known_drives_another_one_as_it_is_if_that_is_said(tmp_path):
@@ -365,18 +306,3 @@ def test_a_loop_at_initialization_through_an_fmu_is_solved_and_replayed(interfac
     assert abs(own["lag.y"][0] - 1.1 / 4.3) <= 1e-15
     assert (run["lag.y"][0], run["k.y"][0]) == (own["lag.y"][0], own["k.y"][0])
     assert cosim.diff(run, cosim.replay(path)).equal
-
-
-def test_an_fmu_without_dependencies_in_a_cascade_needs_no_warning(foreign2, tmp_path):
-    """What is unknown matters only in a cycle."""
-    text = LOOP.format(coupling="jacobi", path=foreign2).replace(
-        '"k.u" = "plant.y"', '"k.u" = "one.y"'
-    )
-    (tmp_path / "cascade.toml").write_text(text)
-    found = json.loads(
-        cosim.run(tmp_path / "cascade.toml", out=tmp_path / "c.mcap").metadata["cosim.run"][
-            "warnings"
-        ]
-    )
-    assert not [text for _, text in found if "may depend directly on plant.u" in text]
-    assert np.isfinite(cosim.open_log(tmp_path / "c.mcap")["plant.y"]).all()

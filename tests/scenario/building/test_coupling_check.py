@@ -6,7 +6,6 @@ import re
 import pytest
 
 import cosim
-from cosim.cli import main
 from cosim.errors import LogError, NonFiniteError, ScenarioError
 from cosim.report.summary import summarize
 from cosim.scenario.building.coupling import gain_text
@@ -74,56 +73,61 @@ def pair(tmp_path):
     return path
 
 
-def test_a_coupling_that_leaves_nothing_of_its_results_is_refused_before_the_run(pair, tmp_path):
-    """By the line of the step, with loop, gain, growth and what would do; there is no log then."""
-    out = tmp_path / "x.mcap"
+def coupling_warnings(log):
+    """Return what a log warns of its couplings."""
+    return [text for name, text in recorded_warnings(log) if name == "coupling"]
+
+
+def refusal(scenario, **changes):
+    """Return why a run is refused."""
     with pytest.raises(ScenarioError) as caught:
-        cosim.run(pair, out=out)
-    text = str(caught.value)
+        cosim.run(scenario, set={f"scenario.{key}": value for key, value in changes.items()})
+    return str(caught.value)
+
+
+def test_a_coupling_that_leaves_nothing_of_its_results_is_refused_before_the_run(pair, tmp_path):
+    """By the line of the step, with loop, gain, growth and what would do; each of that runs."""
+    with pytest.raises(ScenarioError):
+        cosim.run(pair, out=tmp_path / "x.mcap")
+    assert not (tmp_path / "x.mcap").exists()
+    text = refusal(pair)
     assert text.startswith(f"{pair}:5: scenario.step: {REFUSED}")
     assert "per step of 0.01 s (exact solution: 0.9762), by " in text
     assert 'coupling = "gauss-seidel" or coupling = "newton"; coupling_check = "warn"' in text
-    assert not out.exists()
-
-
-def test_a_dry_run_says_of_the_coupling_and_the_step_what_a_run_does(pair, call):
-    """Refused in both, or warned of in both."""
-    code, out, err = call("run", pair, "--dry-run")
-    assert (code, out) == (2, "")
-    assert REFUSED in err
-    code, out, err = call("run", pair, "--dry-run", "--set", "scenario.coupling_check='warn'")
-    assert (code, "the scenario can run; warnings: " in out) == (0, True)
-    assert REFUSED in err
-    pair.write_text(FAST)
-    code, out, err = call("run", pair, "--dry-run")
-    assert (code, out) == (0, "dry run: the scenario can run; warnings: 1\n")
-    assert "slow.y is off by up to" in err
-
-
-def test_the_offers_of_a_refusal_run(pair):
-    """The step, and each of the couplings, are not refused."""
-    with pytest.raises(ScenarioError) as caught:
-        cosim.run(pair)
-    step = float(str(caught.value).split("use step = ")[1].split(",")[0])
+    step = float(text.split("use step = ")[1].split(",")[0])
     for way_out in ({"step": step}, {"coupling": "gauss-seidel"}, {"coupling": "newton"}):
         changes = {f"scenario.{key}": value for key, value in way_out.items()}
         memory = cosim.run(pair, set=changes)
-        (gain,) = recorded_loop_gains(memory)
-        assert gain.verdict == "fine"
+        assert [gain.verdict for gain in recorded_loop_gains(memory)] == ["fine"]
         assert abs(memory["one.x"][-1]) < 0.2
+    # Newton's method takes as many as it needs; Gauss-Seidel is as unstable with three
+    text = refusal(pair, iterations=3)
+    assert 'use step = 0.001 or coupling = "newton" with iterations = 1;' in text
+    assert "amplifies an error by 8.9" in refusal(pair, iterations=3, coupling="gauss-seidel")
 
 
-def test_offers_beside_iterations_run_with_them(pair):
-    """Newton's method takes as many as it needs; Gauss-Seidel is as unstable with three."""
-    iterations = {"scenario.iterations": 3}
-    with pytest.raises(ScenarioError, match=r"'gauss-seidel' amplifies an error by 8\.9"):
-        cosim.run(pair, set={**iterations, "scenario.coupling": "gauss-seidel"})
-    with pytest.raises(ScenarioError) as caught:
-        cosim.run(pair, set=iterations)
-    offered = str(caught.value).split("; use ")[1].split(";")[0]
-    assert offered == 'step = 0.001 or coupling = "newton" with iterations = 1'
-    cosim.run(pair, set={**iterations, "scenario.step": 0.001})
-    cosim.run(pair, set={"scenario.coupling": "newton", "scenario.iterations": 1})
+@pytest.mark.usefixtures("in_this_process")
+def test_info_check_and_a_dry_run_say_what_a_run_would(pair, call):
+    """Without a run: refused in all, or warned of in all."""
+    (row,) = json.loads(call("info", pair, "--json")[1])["loops"]
+    assert row["verdict"] == "refused"
+    code, text, _ = call("check", pair)
+    assert (code, "coupling of one, two\tNOT FULFILLED" in text) == (1, True)
+    code, text, err = call("run", pair, "--dry-run")
+    assert (code, text, REFUSED in err) == (2, "", True)
+    warn = ("--set", "scenario.coupling_check='warn'")
+    code, text, err = call("run", pair, "--dry-run", *warn)
+    assert (code, "can run; warnings: " in text, REFUSED in err) == (0, True, True)
+    code, text, err = call("check", pair, *warn)
+    assert (code, f"warning: coupling: {REFUSED}" in err) == (1, True)
+    assert "the step resolves the model\tNOT FULFILLED" in text
+    newton = ("--set", "scenario.coupling=newton", "--set", "scenario.step=0.001")
+    code, text, _ = call("check", pair, *newton)
+    assert (code, "gain 0.99760 per step" in text) == (0, True)
+    pair.write_text(FAST)
+    code, text, err = call("run", pair, "--dry-run")
+    assert (code, text) == (0, "dry run: the scenario can run; warnings: 1\n")
+    assert "slow.y is off by up to" in err
 
 
 def test_warned_of_it_runs_all_the_same_and_the_end_names_loop_and_gain(pair):
@@ -141,100 +145,53 @@ def test_warned_of_it_runs_all_the_same_and_the_end_names_loop_and_gain(pair):
         cosim.run(pair, set={**WARN, "scenario.stop": 100.0})
 
 
-def test_a_session_is_refused_too(pair):
-    """Also where the steps are taken by hand."""
-    with pytest.raises(ScenarioError, match="amplifies an error by"):
-        cosim.load(pair).start()
+OSCILLATION = {
+    "scenario.stop": 10.0,
+    "one": {"kind": "controller", "A": [[0.0]], "B": [[1.0]], "C": [[1.0]], "D": [[0.0]]},
+    "two": {"kind": "controller", "A": [[0.0]], "B": [[-1.0]], "C": [[1.0]], "D": [[0.0]]},
+}
 
 
-def test_an_unstable_loop_is_warned_of_as_that(pair):
-    """With a second feedthrough of 1.1 it has a pole at +3084 /s, whatever couples it."""
-    memory = cosim.run(pair, set={"two.D": [[1.1]]})
-    (text,) = [text for source, text in recorded_warnings(memory) if source == "coupling"]
-    assert re.search(r"loop of one, two is unstable .*\+3084 /s.* 1e1339 over the run", text)
-
-
-def test_a_slow_growth_is_warned_of(pair):
-    """An undamped oscillation by Jacobi: (1 + (h w)^2)^(N/2) = exp(0.05) in 10 s at 0.01 s."""
-    changes = {
-        "scenario.stop": 10.0,
-        "one.A": [[0.0]],
-        "one.B": [[1.0]],
-        "one.C": [[1.0]],
-        "one.D": [[0.0]],
-        "two.A": [[0.0]],
-        "two.B": [[-1.0]],
-        "two.C": [[1.0]],
-        "two.D": [[0.0]],
-    }
-    memory = cosim.run(pair, set=changes)
-    (text,) = [text for source, text in recorded_warnings(memory) if source == "coupling"]
-    assert text == (
-        f"{REFUSED}1.0000500 per step of 0.01 s (exact solution: 1), by 1.051 over the run"
-    )
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        # an undamped oscillation by Jacobi: (1 + (h w)^2)^(N/2) = exp(0.05) in 10 s at 0.01 s
+        (OSCILLATION, f"^{REFUSED}1.0000500 per step of 0.01 s .*, by 1.051 over the run$"),
+        # with a second feedthrough of 1.1 it has a pole at +3084 /s, whatever couples it
+        ({"two.D": [[1.1]]}, r"is unstable with any coupling.*\+3084 /s.* 1e1339 over the run"),
+    ],
+)
+def test_what_is_not_refused_is_warned_of(pair, changes, words):
+    """A slow growth, and a loop that is unstable by itself."""
+    (text,) = coupling_warnings(cosim.run(pair, set=changes))
+    assert re.search(words, text)
 
 
 def test_replays_and_reports_take_the_gain_from_the_log(pair, tmp_path, call):
     """As it was before the run; a replay does not compute it again, and not where it changed."""
     out = tmp_path / "pair.mcap"
-    newton = {"scenario.coupling": "newton"}
-    log = cosim.run(pair, out=out, set=newton)
+    log = cosim.run(pair, out=out, set={"scenario.coupling": "newton"})
     (gain,) = recorded_loop_gains(log)
-    assert gain.components == ("one", "two")
-    assert gain.coupling == "newton"
+    assert (gain.components, gain.coupling) == (("one", "two"), "newton")
     assert summarize(log).gains == (gain,)
     assert recorded_loop_gains(cosim.replay(log)) == (gain,)
     assert recorded_loop_gains(cosim.replay(log, set={"scenario.stop": 0.5})) == ()
-    code, text, _ = call("info", str(out), "--json")
-    assert code == 0
-    (row,) = json.loads(text)["loops"]
-    assert row["gain"] == gain.rho
-    assert row["verdict"] == "fine"
+    (row,) = json.loads(call("info", str(out), "--json")[1])["loops"]
+    assert (row["gain"], row["verdict"]) == (gain.rho, "fine")
     assert row["largest pole"] == pytest.approx(-2.4069, abs=1e-4)
-
-
-def test_the_summary_of_a_run_has_a_line_on_the_gain(pair, call):
-    """In words in the table, and in numbers as JSON."""
-    code, text, _ = call("run", str(pair), "--set", "scenario.coupling=newton", "--out", "a.mcap")
-    assert code == 0
+    _, text, _ = call("run", pair, "--set", "scenario.coupling=newton", "--out", "b.mcap")
     assert "one, two: 0.9762 per step (exact solution: 0.9762)" in text
-    arguments = ("--set", "scenario.coupling=newton", "--out", "b.mcap", "--json")
-    _, text, _ = call("run", str(pair), *arguments)
-    (gain,) = json.loads(text)["gains"]
-    assert gain["rho"] == pytest.approx(0.976218, abs=1e-6)
+    log.metadata["cosim.run"]["loop_gains"] = '[{"components": 3}]'
+    with pytest.raises(LogError, match="loop_gains"):
+        recorded_loop_gains(log)
 
 
-@pytest.mark.usefixtures("in_this_process")
-def test_info_and_check_show_the_gain(pair, call):
-    """Without a run: `cosim info`, and `cosim check` with what stands against it."""
-    code, text, _ = call("info", str(pair), "--json")
-    assert code == 0
-    (row,) = json.loads(text)["loops"]
-    assert row["verdict"] == "refused"
-    code, text, _ = call("check", str(pair))
-    assert code == 1
-    assert "coupling of one, two" in text
-    assert "NOT FULFILLED" in text
-    newton = ["--set", "scenario.coupling=newton", "--set", "scenario.step=0.001"]
-    code, text, _ = call("check", str(pair), *newton)
-    assert code == 0
-    assert "gain 0.99760 per step" in text
-    code, text, err = call("check", str(pair), "--set", "scenario.coupling_check=warn")
-    assert code == 1
-    assert "the step resolves the model\tNOT FULFILLED" in text
-    assert f"warning: coupling: {REFUSED}" in err
-
-
-def test_where_a_component_cannot_be_linearized_the_gain_is_not_known(call):
+def test_where_a_component_cannot_be_linearized_the_gain_is_not_known():
     """It is named, and the run goes on."""
-    memory = cosim.run("compensation", set={"scenario.stop": 0.1})
-    (gain,) = recorded_loop_gains(memory)
+    (gain,) = recorded_loop_gains(cosim.run("compensation", set={"scenario.stop": 0.1}))
     assert gain.verdict == "unknown"
     assert "compensator" in gain.unknown
     assert "observer" not in gain.unknown
-    _, text, _ = call("info", "compensation", "--json")
-    (row,) = json.loads(text)["loops"]
-    assert row["text"].startswith("unknown: no linearization of compensator, ")
 
 
 def test_a_recording_closes_no_loop(tmp_path):
@@ -248,20 +205,6 @@ def test_a_recording_closes_no_loop(tmp_path):
         with pytest.warns(cosim.CosimWarning, match="does not react"):
             log = cosim.run(tmp_path / "chain.toml", swap=swap)
         assert [gain.components for gain in recorded_loop_gains(log)] == left
-
-
-def test_another_check_of_the_coupling_is_refused(pair):
-    """With what there is."""
-    with pytest.raises(ScenarioError, match="unknown value 'no'; available: refuse, warn"):
-        cosim.run(pair, set={"scenario.coupling_check": "no"})
-
-
-def test_a_log_whose_gains_cannot_be_understood_is_refused(pair):
-    """A log may come from anywhere."""
-    memory = cosim.run(pair, set={"scenario.coupling": "newton"})
-    memory.metadata["cosim.run"]["loop_gains"] = '[{"components": 3}]'
-    with pytest.raises(LogError, match="loop_gains"):
-        recorded_loop_gains(memory)
 
 
 @pytest.fixture(scope="module")
@@ -290,11 +233,6 @@ def test_the_gain_of_a_loop_through_an_fmu_is_that_of_its_model(plant, interface
 
 
 # --- behind actions ---
-
-
-def coupling_warnings(log):
-    """Return what a log warns of its couplings."""
-    return [text for name, text in recorded_warnings(log) if name == "coupling"]
 
 
 SET = """
@@ -333,9 +271,7 @@ def test_a_parameter_that_makes_the_coupling_unstable_is_refused_before_the_run(
     The loop itself settles with either gain: dy/dt = (60 (1 - y) + I - y) / 2 s.
     """
     path = setting("at = 4.0", 60.0)
-    with pytest.raises(ScenarioError) as caught:
-        cosim.run(path)
-    text = str(caught.value)
+    text = refusal(path)
     begin = f"{path}:3: actions[0]: after the action at 4.0 s, the loop of pid, plant: coupling"
     assert text.startswith(begin)
     assert ", by 1e18 over the rest of the run, more than 10; use step" in text
@@ -348,61 +284,92 @@ def test_a_parameter_that_makes_the_coupling_unstable_is_refused_before_the_run(
     assert warning.startswith("after the action at 4.0 s, the loop of pid, plant: coupling")
 
 
-def test_a_gain_behind_an_action_is_that_of_a_run_with_its_value(setting, tmp_path, capsys):
-    """It is in the log, the summary and a replay; of components outside loops there is none."""
-    path = setting("at = 4.0", 5.0)
-    log = cosim.run(path, out=tmp_path / "a.mcap")
-    first, behind = recorded_loop_gains(log)
-    (own,) = recorded_loop_gains(cosim.run(path, set={"pid.gain": 5.0, "actions": []}))
-    assert (first.action, first.steps) == ("", 100)
-    assert (behind.action, behind.steps) == ("after the action at 4.0 s", 60)
-    assert (behind.rho, behind.rate) == (own.rho, own.rate)
-    assert recorded_loop_gains(cosim.replay(log)) == (first, behind)
-    outside = [{"at": 1.0, "set": {"alone.K": 3.0, "setpoint.value": 2.0}}]
-    assert len(recorded_loop_gains(cosim.run(path, set={"actions": outside}))) == 1
+@pytest.mark.usefixtures("in_this_process")
+def test_a_parameter_at_a_condition_is_warned_of(setting, call):
+    """It may never be set, as here; then the run is as good as without it."""
+    path = setting('when = "plant.y > 5"', 60.0)
+    memory = cosim.run(path)
+    assert abs(memory["plant.y"][-1] - 1.0) < 0.05
+    action = "after the action when 'plant.y > 5', linearized at the start"
+    (warning,) = coupling_warnings(memory)
+    assert warning.startswith(f"{action}, the loop of pid, plant: ")
+    assert f"pid, plant {action}\tnot dec" in call("check", path)[1]
+    assert (
+        "pid, plant after the action at 4.0 s\tNOT FULFILLED"
+        in call("check", setting("at = 4.0", 60.0))[1]
+    )
 
 
-def test_actions_add_up_in_the_order_of_time(setting):
-    """The one at 6 s, which the file has first, knows of that at 2 s; two at once are one."""
+def gains_behind(path, *actions):
+    """Return the gains of a run with actions: as it begins, and behind them."""
+    return recorded_loop_gains(cosim.run(path, set={"actions": list(actions)}))
+
+
+def test_a_gain_behind_actions_is_that_of_a_run_with_their_values(setting, tmp_path):
+    """In the order of time: the one at 6 s, which the file has first, knows of that at 2 s.
+
+    Two at once are one; of components outside loops there is none. Logs and replays have all.
+    """
     path = setting("at = 6.0", 30.0)
     actions = [
         {"at": 6.0, "set": {"pid.gain": 30.0}},
         {"at": 2.0, "set": {"plant.time_constant": 20.0}},
         {"at": 2.0, "set": {"pid.gain": 20.0}},
+        {"at": 1.0, "set": {"alone.K": 3.0, "setpoint.value": 2.0}},
     ]
-    gains = recorded_loop_gains(cosim.run(path, set={"actions": actions}))
+    log = cosim.run(path, set={"actions": actions}, out=tmp_path / "a.mcap")
+    gains = recorded_loop_gains(log)
     assert [gain.action[-5:] for gain in gains] == ["", "2.0 s", "6.0 s"]
-    values = [{"pid.gain": K, "plant.time_constant": 20.0, "actions": []} for K in (20.0, 30.0)]
-    expected = [recorded_loop_gains(cosim.run(path, set=value))[0].rho for value in values]
-    assert [gain.rho for gain in gains[1:]] == expected
+    assert [gain.steps for gain in gains] == [100, 80, 40]
+    for gain, K in zip(gains[1:], (20.0, 30.0), strict=True):
+        same = {"pid.gain": K, "plant.time_constant": 20.0, "actions": []}
+        (expected,) = recorded_loop_gains(cosim.run(path, set=same))
+        assert (gain.rho, gain.rate) == (expected.rho, expected.rate)
+    assert recorded_loop_gains(cosim.replay(log)) == gains
 
 
-@pytest.mark.usefixtures("in_this_process")
-def test_a_parameter_at_a_condition_is_warned_of(setting, capsys):
-    """It may never be set, as here; then the run is as good as without it."""
-    path = setting('when = "plant.y > 5"', 60.0)
-    memory = cosim.run(path)
-    assert abs(memory["plant.y"][-1] - 1.0) < 0.05
-    (warning,) = coupling_warnings(memory)
-    assert warning.startswith(
-        "after the action when 'plant.y > 5', linearized at the start, the loop of pid, plant: "
+def test_a_fault_that_multiplies_an_input_is_checked_as_another_gain_is(setting):
+    """K (setpoint - 3 y) and I' = K/Ti (setpoint - 3 y) make of an error what 3 K does.
+
+    What is added makes nothing of it, a release takes the gain back, and one at an input from
+    outside the loop is none of its gain. The action that changes the loop is the one named.
+    """
+    path = setting("at = 4.0", 2.0)
+    faults = [
+        {"at": 2.0, "signal": "pid.measurement", "offset": 1.0},
+        {"at": 4.0, "signal": "pid.setpoint", "gain": 5.0},
+        {"at": 4.0, "signal": "pid.measurement", "gain": 3.0},
+        {"at": 6.0, "signal": "pid.measurement", "release": True},
+    ]
+    first, behind, released = gains_behind(path, *faults)
+    (own,) = recorded_loop_gains(cosim.run(path, set={"pid.gain": 6.0, "actions": []}))
+    assert [gain.action[-5:] for gain in (behind, released)] == ["4.0 s", "6.0 s"]
+    assert behind.rho == pytest.approx(own.rho, rel=1e-12)
+    assert released.rho == pytest.approx(first.rho, rel=1e-12)
+    faults[2]["gain"] = 30.0
+    with pytest.raises(ScenarioError, match=r"actions\[2\]: after the action at 4\.0 s, the loop"):
+        gains_behind(path, *faults)
+
+
+def test_a_gain_behind_a_delay_or_a_drop_is_not_known_and_says_so(setting):
+    """As what is late, or lost, is not linearized; also behind what is set meanwhile."""
+    first, *behind = gains_behind(
+        setting("at = 4.0", 2.0),
+        {"at": 2.0, "signal": "plant.u", "delay": 0.3},
+        {"at": 3.0, "signal": "pid.setpoint", "delay": 0.3},
+        {"at": 4.0, "set": {"pid.gain": 60.0}},
+        {"at": 5.0, "set": {"pid.gain": 2.0}},
+        {"at": 5.0, "signal": "plant.u", "release": True},
+        {"at": 6.0, "signal": "pid.measurement", "drop": 0.1},
+        {"at": 7.0, "signal": "plant.u", "delay": 0.1},
+        {"at": 8.0, "signal": ["plant.u", "pid.measurement"], "drop": True},
     )
-    with pytest.raises(SystemExit) as left:
-        main(["check", str(path)])
-    assert left.value.code == 1  # by the step, which is long for the loop
-    output = capsys.readouterr().out
-    assert (
-        "pid, plant after the action when 'plant.y > 5', linearized at the start\tnot dec" in output
-    )
-
-
-@pytest.mark.usefixtures("in_this_process")
-def test_cosim_check_says_what_a_run_would(setting, capsys):
-    with pytest.raises(SystemExit) as left:
-        main(["check", str(setting("at = 4.0", 60.0))])
-    assert left.value.code == 1
-    output = capsys.readouterr().out
-    assert "coupling of pid, plant after the action at 4.0 s\tNOT FULFILLED" in output
+    late = "unknown: no linearization of the delay of 'plant.u'"
+    lost = "unknown: no linearization of the drop of 'pid.measurement'"
+    known = gain_text(first)
+    both = f"{lost}, the delay of 'plant.u'"
+    assert [gain.action[-5] for gain in behind] == ["2", "4", "5", "6", "7", "8"]
+    assert list(map(gain_text, behind)) == [late, late, known, lost, both, known]
 
 
 @pytest.mark.slow
@@ -422,77 +389,3 @@ def test_a_gain_behind_what_is_done_to_an_fmu_is_not_known(setting, tmp_path):
     assert first.rho is not None
     assert (behind.rho, behind.unknown) == (None, ("a",))
     assert behind.action == "after the action at 0.5 s"
-
-
-def test_of_many_actions_a_summary_shows_some(setting, capsys):
-    """All are in the log."""
-    path = setting("at = 1.0", 2.0)
-    one = '{ at = 1.0, set = { "pid.gain" = 2.0 } }'
-    text = path.read_text()
-    assert one in text
-    several = [one.replace("1.0", f"{t}.0").replace("= 2.0", f"= 2.{t}") for t in range(1, 9)]
-    path.write_text(text.replace(one, ", ".join(several)))
-    with pytest.raises(SystemExit):
-        main(["run", str(path), "--out", str(path.with_suffix(".mcap"))])
-    lines = [line for line in capsys.readouterr().out.splitlines() if "error growth" in line]
-    assert len(lines) == 1 + 5 + 1
-    assert "3 more after actions" in lines[-1]
-    assert len(recorded_loop_gains(cosim.open_log(path.with_suffix(".mcap")))) == 9
-
-
-def test_a_fault_that_multiplies_an_input_is_checked_as_another_gain_is(setting):
-    """K (setpoint - 3 y) and I' = K/Ti (setpoint - 3 y) make of an error what 3 K does.
-
-    What is added makes nothing of it, a release takes the gain back, and one at an input from
-    outside the loop is none of its gain.
-    """
-    path = setting("at = 4.0", 2.0)
-    faults = [
-        {"at": 2.0, "signal": "pid.measurement", "offset": 1.0},
-        {"at": 3.0, "signal": "pid.setpoint", "gain": 5.0},
-        {"at": 4.0, "signal": "pid.measurement", "gain": 3.0},
-        {"at": 6.0, "signal": "pid.measurement", "release": True},
-    ]
-    first, behind, released = recorded_loop_gains(cosim.run(path, set={"actions": faults}))
-    (own,) = recorded_loop_gains(cosim.run(path, set={"pid.gain": 6.0, "actions": []}))
-    assert [gain.action[-5:] for gain in (behind, released)] == ["4.0 s", "6.0 s"]
-    assert behind.rho == pytest.approx(own.rho, rel=1e-12)
-    assert released.rho == pytest.approx(first.rho, rel=1e-12)
-    faults[2]["gain"] = 30.0
-    with pytest.raises(ScenarioError, match=r"actions\[2\]: after the action at 4\.0 s, the loop"):
-        cosim.run(path, set={"actions": faults})
-
-
-def test_a_gain_behind_a_delay_or_a_drop_is_not_known_and_says_so(setting, capsys):
-    """As what is late, or lost, is not linearized; also behind what is set meanwhile."""
-    actions = [
-        {"at": 2.0, "signal": "plant.u", "delay": 0.3},
-        {"at": 3.0, "signal": "pid.setpoint", "delay": 0.3},
-        {"at": 4.0, "set": {"pid.gain": 60.0}},
-        {"at": 5.0, "set": {"pid.gain": 2.0}},
-        {"at": 5.0, "signal": "plant.u", "release": True},
-        {"at": 6.0, "signal": "pid.measurement", "drop": 0.1},
-        {"at": 7.0, "signal": "plant.u", "delay": 0.1},
-        {"at": 8.0, "signal": ["plant.u", "pid.measurement"], "drop": True},
-    ]
-    path = setting("at = 4.0", 2.0)
-    first, *behind = recorded_loop_gains(cosim.run(path, set={"actions": actions}))
-    assert [gain.action[-5] for gain in behind] == ["2", "4", "5", "6", "7", "8"]
-    late, set_meanwhile, released, lost, both, none_arrives = behind
-    for gain in (late, set_meanwhile):
-        assert gain_text(gain) == "unknown: no linearization of the delay of 'plant.u'"
-    text = "unknown: no linearization of the drop of 'pid.measurement'"
-    assert gain_text(lost) == text
-    assert gain_text(both) == f"{text}, the delay of 'plant.u'"
-    for gain in (released, none_arrives):
-        assert gain.rho == pytest.approx(first.rho, rel=1e-12)
-
-
-def test_the_action_that_changes_a_loop_is_the_one_that_is_named(setting):
-    """Not another one at that instant."""
-    actions = [
-        {"at": 4.0, "signal": "pid.setpoint", "offset": 1.0},
-        {"at": 4.0, "set": {"pid.gain": 60.0}},
-    ]
-    with pytest.raises(ScenarioError, match=r"actions\[1\]: after the action at 4\.0 s, the loop"):
-        cosim.run(setting("at = 4.0", 2.0), set={"actions": actions})

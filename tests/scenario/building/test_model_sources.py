@@ -103,7 +103,7 @@ def test_a_file_is_read_as_scipy_reads_it(tmp_path, compressed):
     }
     path = tmp_path / "all.mat"
     scipy.io.savemat(path, variables | others, do_compression=compressed)
-    found = read_variables(path.read_bytes())
+    found = read_variables("", path.read_bytes())
     expected = scipy.io.loadmat(path)
     for name in variables:
         value = expected[name]
@@ -128,7 +128,7 @@ def test_a_damaged_file_is_refused_or_read(tmp_path):
                 damaged[rng.integers(len(damaged))] = rng.integers(256)
             content = bytes(damaged[: rng.integers(len(damaged))] if trial % 5 == 0 else damaged)
             try:
-                read_variables(content)
+                read_variables("", content)
             except UsageError:
                 refused += 1
     assert refused > 100

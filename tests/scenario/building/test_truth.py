@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 import cosim
@@ -74,14 +73,6 @@ def test_elements_and_slices_are_compared_too(tmp_path):
         cosim.run(with_truth('"observer.x_a[0]" = "plant.x_a[2]"'))
 
 
-def test_values_of_a_slice_are_named_as_elements_of_the_signal():
-    """They keep their numbers."""
-    entries = '"observer.x_a[0:2]" = [1.0, 2.0]\n"observer.x_a[1:2]" = 3.0'
-    run = cosim.run(with_truth(entries))
-    names = [value.estimate for value in summarize(run).values if "x_a" in value.estimate]
-    assert names == ["observer.x_a[0]", "observer.x_a[1]", "observer.x_a[1]"]
-
-
 @pytest.mark.slow
 def test_a_truth_may_be_stacked(tmp_path):
     """Ports in the order of the elements are compared as one signal would be, also in pictures."""
@@ -99,29 +90,6 @@ def test_a_truth_may_be_stacked(tmp_path):
     turned = cosim.run(with_truth('"observer.x_a" = ["plant.x_a[1]", "plant.x_a[0]"]'))
     last = abs(turned["observer.x_a"][-1] - turned["plant.x_a"][-1, ::-1]).max()
     assert summarize(turned).signals[0].last == last
-
-
-def test_a_stacked_truth_is_compared_at_the_instants_of_all_its_ports():
-    """Of a component with a longer period at its samples."""
-    entries = '"plant.x_a" = ["delta.y", "slow.y"]'
-    slow = {
-        "components.slow": {
-            "kind": "controller",
-            "A": [[-1.0]],
-            "B": [[1.0]],
-            "C": [[1.0]],
-            "period": 0.01,
-        },
-        "connections.slow.u": "plant.y",
-    }
-    run = cosim.run(with_truth(entries, **slow))
-    rows = slice(0, None, 10)
-    assert len(run["slow.y"]) == 11
-    error = [
-        abs(run["plant.x_a"][rows, 0] - run["delta.y"][rows]),
-        abs(run["plant.x_a"][rows, 1] - run["slow.y"]),
-    ]
-    assert summarize(run).signals[0].largest == np.max(error)
 
 
 def test_a_stacked_truth_is_checked(tmp_path):

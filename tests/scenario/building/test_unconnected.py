@@ -7,7 +7,6 @@ import cosim
 from cosim.core.recorders import Memory
 from cosim.errors import GraphError, ScenarioError
 from cosim.fmi.component import load
-from cosim.fmi.options import FmuOptions
 from cosim.report.inspection import describe_scenario
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.rogues import XML
@@ -67,35 +66,6 @@ def test_an_input_that_nothing_drives_keeps_its_start_value(scenario, table, u):
     assert rows["plant.u"]["from"] == f"start value {u:g}"
 
 
-def test_blocks_make_no_difference(scenario):
-    one = cosim.run(scenario(), recorder=Memory(), block=1)
-    all_at_once = cosim.run(scenario(), recorder=Memory(), block=STEPS)
-    assert one["plant.u"].tobytes() == all_at_once["plant.u"].tobytes()
-    assert one["plant.y"].tobytes() == all_at_once["plant.y"].tobytes()
-
-
-@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
-def test_inputs_of_components_in_a_loop_may_be_left_out_too(fmu, tmp_path, coupling):
-    """Two lags in a ring, each with one more input at its start value: u = 0.25 of the first."""
-    xml = STATELESS.replace('start="0" unit="m"', 'start="0.25" unit="m"')
-    more = (
-        '<ScalarVariable name="v" valueReference="2" causality="input"><Real start="3"/>'
-        "</ScalarVariable>"
-    )
-    xml = xml.replace("<ModelVariables>", f"<ModelVariables>{more}")
-    xml = xml.replace('index="2"', 'index="3"').replace('index="4"', 'index="5"')
-    xml = xml.replace('dependencies="1 2"', 'dependencies="2 3"')
-    xml = xml.replace('dependencies="1" ', 'dependencies="2" ')
-    path = compile_fmu(tmp_path / "two.fmu", xml, "rogue2.c", defines=("ROGUE=GOOD",))
-    with load(path) as first, load(path) as second:
-        components = {"a": first.component, "b": second.component}
-        graph = cosim.core.Graph(components, {"a.u": "b.y", "b.u": "a.y"}, coupling=coupling)
-        memory = Memory()
-        cosim.core.run(graph, cosim.core.Clock(STEP * STEPS, STEP), memory)
-    for name in components:
-        assert memory[f"{name}.v"].tolist() == [3.0] * (STEPS + 1)
-
-
 def test_a_start_value_of_a_connected_input_is_refused(scenario):
     """The connection would overwrite it at once."""
     path = scenario("start = { u = 0.75 }", '"plant.u" = "c.y"')
@@ -105,43 +75,9 @@ def test_a_start_value_of_a_connected_input_is_refused(scenario):
         cosim.run(path, recorder=Memory())
 
 
-def test_a_start_value_of_a_connected_input_is_refused_under_another_name(scenario, tmp_path):
-    """Of an FMU in another's place, whose w is the scenario's u."""
-    xml = STATELESS.replace('name="u"', 'name="w"')
-    other = compile_fmu(tmp_path / "other.fmu", xml, "rogue2.c", defines=("ROGUE=GOOD",))
-    path = scenario("", '"plant.u" = "c.y"')
-    swap = {"plant": other}
-    renamed = {"plant.u": "w"}
-    with pytest.raises(
-        ScenarioError, match=r"'plant\.u' is connected and has an explicit start value"
-    ):
-        cosim.run(path, recorder=Memory(), swap=swap, map=renamed, set={"plant.start": {"w": 0.75}})
-    memory = cosim.run(path, recorder=Memory(), swap=swap, map=renamed)
-    assert memory["plant.u"].tolist() == [0.5] * (STEPS + 1)
-
-
-def test_a_graph_of_ones_own_follows_the_same_rules(fmu):
-    with load(fmu, FmuOptions(start={"u": 0.5})) as opened:
-        components = {"plant": opened.component}
-        graph = cosim.core.Graph(components, {})
-        assert [(str(port), value) for port, value in graph.unconnected.items()] == [
-            ("plant.u", (0.5,))
-        ]
-        with pytest.raises(GraphError, match=r"'plant\.u' .*explicit start value"):
-            cosim.core.Graph(components, {"plant.u": "plant.y"})
-
-
 def test_an_input_without_a_start_value_must_be_connected(tmp_path):
     """FMI 1.0 does not need one."""
     xml = STATELESS.replace('<Real start="0" unit="m"/>', '<Real unit="m"/>')
     path = compile_fmu(tmp_path / "lag.fmu", xml, "rogue2.c", defines=("ROGUE=GOOD",))
     with load(path) as opened, pytest.raises(GraphError, match=r"'plant\.u' is not connected"):
         cosim.core.Graph({"plant": opened.component}, {})
-
-
-def test_a_run_with_such_an_input_is_replayed(scenario, tmp_path):
-    """Bit for bit; the recorded value is applied again."""
-    log = cosim.run(scenario("start = { u = 0.75 }"), out=tmp_path / "one.mcap")
-    again = cosim.replay(log)
-    assert again["plant.u"].tobytes() == log["plant.u"].tobytes()
-    assert again["plant.y"].tobytes() == log["plant.y"].tobytes()

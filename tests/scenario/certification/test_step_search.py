@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.cli import main
-from cosim.errors import RunError, UnknownSignalError, UsageError
+from cosim.errors import RunError, UsageError
 from cosim.scenario.running import step_search
 from tests.scenario import certified
 from tests.scenario.certified import lag_behind, write
@@ -66,13 +65,16 @@ def test_several_tolerances_are_kept_together():
     assert np.abs(log["mass.y"] - np.cos(2.0 * t)).max() <= 1.1 * 0.02
 
 
-def test_an_exact_signal_takes_the_largest_step():
-    """Of an output that no run changes: any step is fine, and leaves 16 points."""
-    log = cosim.run(certified.parsed(certified.EXACT), find_step={"third.y": 1e-6})
+@pytest.mark.parametrize(("signal", "tolerance"), [("third.y", 1e-6), ("lag.y", 1e-12)])
+def test_an_exact_signal_takes_the_largest_step(signal, tolerance):
+    """Of an output that no run changes, but for rounding: the largest leaves 16 points."""
+    log = cosim.run(certified.parsed(certified.EXACT), find_step={signal: tolerance})
     assert log.step_ns == 250_000_000
+    found = cosim.certificate(log)[signal]
+    assert found.largest == 0.0 or found.is_rounding
 
 
-def test_a_step_that_is_given_beside_is_refused(tmp_path, capsys):
+def test_a_step_that_is_given_beside_is_refused(tmp_path, call):
     """One of both would be ignored; that of the file is only where the search begins."""
     path = write(tmp_path, certified.EXACT)
     tolerances = {"third.y": 1e-6}
@@ -81,39 +83,21 @@ def test_a_step_that_is_given_beside_is_refused(tmp_path, capsys):
         with pytest.raises(UsageError) as raised:
             cosim.run(scenario, find_step=tolerances, set=set_)
         assert "find_step or set['scenario.step'], got both" in str(raised.value)
-    command = ["run", str(path), "--find-step", "third.y=1e-6"]
     for given in (["--step", "0.1"], ["--set", "scenario.step=0.1"]):
-        with pytest.raises(SystemExit) as left:
-            main([*command, *given])
-        assert left.value.code == 2
-        name = given[0] if given[0] == "--step" else "--set scenario.step"
-        err = capsys.readouterr().err
+        code, _, err = call("run", path, "--find-step", "third.y=1e-6", *given)
+        assert code == 2
         assert "--find-step" in err
-        assert name in err
-        assert err.count("\n") == 1
+        assert ("--step" if given[0] == "--step" else "--set scenario.step") in err
 
 
 # --- where the confident sentence would be false ---
 
 
-def test_a_search_ends_where_no_step_has_an_estimate(tmp_path):
+def test_a_search_ends_where_no_step_has_an_estimate():
     """The point of a condition depends on every step: none below the scenario's own is tried."""
-    text = """
-    [components]
-    sine = { kind = "sine", rate = 1.0 }
-    lag = { kind = "lag", time_constant = 0.5, initial = 0.0 }
-
-    [connections]
-    "lag.u" = "sine.y"
-
-    [[actions]]
-    when = "sine.y > 0.5"
-    signal = "lag.u"
-    override = 0.3
-    """
-    path = write(tmp_path, text)
+    action = '\n[[actions]]\nwhen = "sine.y > 0.5"\nsignal = "lag.u"\noverride = 0.3\n'
     with pytest.raises(RunError) as caught:
-        cosim.run(path, find_step={"lag.y": 1e-3})
+        cosim.run(certified.parsed(certified.SMOOTH + action), find_step={"lag.y": 1e-3})
     assert str(caught.value).endswith(
         "down to 0.0078125 s: no estimate of lag.y: the action when 'sine.y > 0.5' takes effect "
         "at a point that depends on the step, whatever the step; use an action at a fixed time, "
@@ -121,63 +105,37 @@ def test_a_search_ends_where_no_step_has_an_estimate(tmp_path):
     )
 
 
-def test_an_unstable_coupling_is_no_success(tmp_path, monkeypatch):
-    """It multiplies by -1.02 a step: with every halving it grows, until it leaves all bounds."""
+@pytest.mark.parametrize(
+    ("text", "tolerances", "words"),
+    [
+        # it multiplies by -1.02 a step: with every halving it grows, until it leaves all bounds
+        (certified.ECHO, {"echo.y": 0.1}, "echo.y 0.1; .*halved: the coupling is unstable"),
+        (lag_behind(("Jump", 1.00001)), {"lag.y": 1e-12}, r"of lag\.y: source\.y jumps"),
+        # smaller steps would show no more than rounding
+        (certified.EXACT, {"lag.y": 1e-20}, "tried 1, down to 0.25 s: .*lag.y: .*rounding"),
+    ],
+)
+def test_no_step_is_no_success(tmp_path, monkeypatch, text, tolerances, words):
     monkeypatch.setattr(step_search, "MOST_STEPS", 10**4)
-    path = write(tmp_path, certified.ECHO)
-    with pytest.raises(
-        RunError, match=r"find_step: no step achieves echo.y 0.1; tried \d+, down"
-    ) as e:
-        cosim.run(path, find_step={"echo.y": 0.1})
-    assert "the error grows as the step is halved: the coupling is unstable" in str(e.value)
-
-
-def test_a_jump_between_points_has_no_step(tmp_path, monkeypatch):
-    monkeypatch.setattr(step_search, "MOST_STEPS", 10**4)
-    path = write(tmp_path, lag_behind(("Jump", 1.00001)))
-    with pytest.raises(RunError, match=r"no estimate of lag\.y: source\.y jumps"):
-        cosim.run(path, find_step={"lag.y": 1e-12})
-
-
-def test_differences_of_rounding_keep_a_larger_tolerance():
-    """The exact lag has the same values with every step, but for rounding: the largest will do."""
-    log = cosim.run(certified.parsed(certified.EXACT), find_step={"lag.y": 1e-12})
-    assert log.step_ns == 250_000_000
-    assert cosim.certificate(log)["lag.y"].is_rounding
-
-
-def test_rounding_ends_the_search():
-    with pytest.raises(
-        RunError, match=r"tried 1, down to 0.25 s: no estimate of lag.y: .*rounding"
-    ):
-        cosim.run(certified.parsed(certified.EXACT), find_step={"lag.y": 1e-20})
+    with pytest.raises(RunError, match=f"find_step: no step achieves .*{words}"):
+        cosim.run(write(tmp_path, text), find_step=tolerances)
 
 
 # --- wrong use ---
 
 
-def test_a_tolerance_is_a_positive_number(subtests):
-    for tolerance in [0.0, -1e-3, float("nan"), float("inf"), True, "1e-3"]:
-        with subtests.test(tolerance=tolerance):
-            match = r"find_step\['lag.y'\]: expected a positive number in the unit of the signal"
-            with pytest.raises(UsageError, match=match):
-                cosim.run(certified.parsed(certified.EXACT), find_step={"lag.y": tolerance})
-
-
-def test_an_unknown_signal_is_named():
-    match = r"find_step\['lag.x'\]: the scenario has no 'lag.x'.*available: u, y"
+@pytest.mark.parametrize(
+    ("tolerances", "match"),
+    [
+        *(
+            ({"lag.y": value}, r"find_step\['lag.y'\]: expected a positive number in the unit")
+            for value in (0.0, -1e-3, float("nan"), float("inf"), True, "1e-3")
+        ),
+        ({"lag.x": 1.0}, r"find_step\['lag.x'\]: the scenario has no 'lag.x'.*available: u, y"),
+        (1.0, r"find_step: .*mapping.* got 1\.0$"),
+        ({}, "find_step: expected at least one signal"),
+    ],
+)
+def test_wrong_tolerances_are_refused(tolerances, match):
     with pytest.raises(UsageError, match=match):
-        cosim.run(certified.parsed(certified.EXACT), find_step={"lag.x": 1.0})
-    assert not issubclass(UsageError, UnknownSignalError)
-
-
-def test_tolerances_are_a_mapping_that_is_not_empty():
-    with pytest.raises(UsageError, match=r"find_step: .*mapping.* got 1\.0$"):
-        cosim.run(certified.parsed(certified.EXACT), find_step=1.0)
-    with pytest.raises(UsageError, match="find_step: expected at least one signal"):
-        cosim.run(certified.parsed(certified.EXACT), find_step={})
-
-
-def test_noise_of_every_step_is_refused():
-    with pytest.raises(UsageError, match="step error: sensor draws random numbers"):
-        cosim.run("academic-noisy", find_step={"observer.x_a": 1.0})
+        cosim.run(certified.parsed(certified.EXACT), find_step=tolerances)

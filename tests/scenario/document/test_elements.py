@@ -102,7 +102,7 @@ UNKNOWN = [
     ("models.academic.A[3][0]", r"models\.academic\.A .*'3'; available: 0 to 2"),
     ("models.academic.A[0][0][0]", r"models\.academic\.A\[0\]\[0\]: expected a list, got 0"),
     ("observer.filter_rate[0]", r"components\.observer\.filter_rate: expected a list, got 1000\.0"),
-    ("plant.x0[0]", r"components\.plant\.x0 is not given.*element 0"),
+    ("plant.x0[0]", r"unknown key 'x0\[0\]'; did you mean 'x0'\?"),
     ("plant.x_a0[0].x", r"components\.plant\.x_a0\[0\]: expected a table, got 1\.0"),
     (
         "delta.terms[0].teta",

@@ -3,7 +3,7 @@
 from cosim.blocks.renaming import Renaming
 from cosim.core.connections import Connection
 from cosim.core.port import Port
-from cosim.scenario.document.swaps import MapEntry, with_recorded_inputs
+from cosim.scenario.document.swaps import MapEntry, record_inputs
 
 PLANT_U = Port.parse("plant.u")
 OBSERVER_U = Port.parse("observer.u")
@@ -24,7 +24,8 @@ def entry(port, name, causality):
 def follow(entries, written):
     """Return what becomes of the map and the connections of a recorded plant."""
     connections = {to: source for to, source in written.items() if to.component != "plant"}
-    return with_recorded_inputs(["plant"], {"plant": entries}, connections, written)
+    kept, inputs, problems = record_inputs(entries, connections, written)
+    return {"plant": kept}, connections, inputs, problems
 
 
 def test_a_recorded_input_drives_what_took_its_source():

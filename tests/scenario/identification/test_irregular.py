@@ -98,21 +98,18 @@ def test_noise_that_is_stated_is_not_taken_from_the_residual():
     assert widths[2] > 1.2 * widths[1]
 
 
-def test_a_bound_is_positive(subtests):
+@pytest.mark.parametrize("bound", [0.0, -0.01])
+def test_a_bound_is_positive(bound):
     """Zero would be the interval of noise."""
-    for bound in [0.0, -0.01]:
-        with (
-            subtests.test(bound=bound),
-            pytest.raises(ScenarioError, match=rf"identifier\.irregular'\]: .*> 0, got {bound}$"),
-        ):
-            cosim.run("academic-noisy", set={"identifier.irregular": bound})
+    with pytest.raises(ScenarioError, match=rf"identifier\.irregular'\]: .*> 0, got {bound}$"):
+        cosim.run("academic-noisy", set={"identifier.irregular": bound})
 
 
 @pytest.mark.slow
 def test_the_table_of_the_run_shows_the_intervals(call):
     """Beside bound, confidence and reach to first order; or why there are none."""
-    options = ["--step", "0.02", "--set", "observer.filter_rate=50.0"]
-    _, output, _ = call("run", "academic-noisy", *options, "--set", "identifier.irregular=0.002")
+    options = ["--step=0.02", "--set=observer.filter_rate=50.0", "--set=identifier.irregular=0.002"]
+    _, output, _ = call("run", "academic-noisy", *options)
     lines = [line.split("\t") for line in output.splitlines()]
     place = next(i for i, line in enumerate(lines) if line[0] == "|delta_0| <= 0.002")
     assert "noise within its bounds with probability 0.999" in lines[place][1]
@@ -122,8 +119,6 @@ def test_the_table_of_the_run_shows_the_intervals(call):
     low, high = map(float, interval.split(" to "))
     assert low < -0.3 < high
     assert first_order.startswith("first order 0.007")
-    fixed = ["--set", "identifier.bounds=[[-1,0],[-0.3,-0.3]]"]
-    _, output, _ = call(
-        "run", "academic-noisy", *options, *fixed, "--set", "identifier.irregular=0.002"
-    )
+    fixed = "--set=identifier.bounds=[[-1,0],[-0.3,-0.3]]"
+    _, output, _ = call("run", "academic-noisy", *options, fixed)
     assert "|delta_0| <= 0.002\ttheta[1] was not estimated" in output

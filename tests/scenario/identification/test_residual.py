@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from cosim.scenario.kinds.run_verdicts import residual_noise
+from cosim.scenario.kinds.identified_plant import residual_noise
 
 SAMPLES = 2000
 STEP = 0.01

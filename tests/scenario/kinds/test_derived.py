@@ -49,28 +49,20 @@ def file(folder, d, connections='"z.u" = "d.y"'):
 
 
 def test_it_is_the_expression_of_its_signals_at_every_row(tmp_path):
-    """Signals of all kinds, elements, several expressions; no connection is written."""
+    """Signals of all kinds, elements, several expressions; blocks and a replay give its bits."""
     path = file(
-        tmp_path,
-        'y = ["s.y - 2*x.y", "max(x.y, two.y[1])*t", "\'s.y\'**2"]',
-        '"z.u" = "d.y[1]"',
+        tmp_path, 'y = ["s.y - 2*x.y", "max(x.y, two.y[1])*t", "\'s.y\'**2"]', '"z.u" = "d.y[1]"'
     )
-    run = cosim.run(path)
+    run = cosim.run(path, out=tmp_path / "a.mcap")
     s, x, t = run["s.y"], run["x.y"], run.time("s.y")
     expected = np.column_stack([s - 2 * x, np.maximum(x, -2.0) * t, s * s])
     # a power of the kernel may differ by its last bit
     np.testing.assert_array_equal(run["d.y"][:, :2], expected[:, :2])
     np.testing.assert_allclose(run["d.y"][:, 2], expected[:, 2], rtol=2**-51)
     np.testing.assert_array_equal(run["d.u3"], np.full(len(t), -2.0))
-
-
-def test_blocks_and_a_replay_give_its_bits(tmp_path):
-    path = file(tmp_path, 'y = "s.y*x.y"')
-    log = cosim.run(path, out=tmp_path / "a.mcap")
     for block in (1, 7, 1000):
-        assert cosim.diff(log, cosim.run(path, block=block)).equal
-    again = cosim.replay(log.path)
-    verification = verify(log, again)
+        assert cosim.diff(run, cosim.run(path, block=block)).equal
+    verification = verify(run, cosim.replay(run.path))
     assert verification.passed, verification.problems
     assert "d.y" in verification.computed
 

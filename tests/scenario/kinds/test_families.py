@@ -8,8 +8,8 @@ import pytest
 
 import cosim
 from cosim.errors import CosimError
-from cosim.scenario.assumptions.regression import ALPHAS as OF_ALPHAS
-from cosim.scenario.assumptions.regression import CLASS, DELAYS
+from cosim.scenario.assumptions.method import ALPHAS as OF_ALPHAS
+from cosim.scenario.assumptions.method import CLASS, DELAYS
 from cosim.scenario.assumptions.report import check_assumptions
 from cosim.scenario.building.build import Builder, parse
 from cosim.scenario.document.document import Document
@@ -87,18 +87,12 @@ def test_terms_are_added_in_their_elements(tmp_path):
 WRONG_TERMS = [
     ('family = "sinus", theta = 1.0', r"did you mean 'sine'"),
     ('family = "chirp", theta = 1.0', r"'chirp'"),
-    (
-        'family = "exponential"',
-        r"'exponential': expected 1 .*got 0 numbers",
-    ),
+    ('family = "exponential"', r"'exponential': expected 1 .*got 0 numbers"),
     ('family = "sine", theta = [1.0, 2.0]', r"expected 1 \(rate\), got 2 numbers: 1, 2"),
     ('family = "damped-sine", theta = 1.0', r"expected 2 \(decay, rate\), got 1 number: 1"),
     ('family = "constant", theta = 1.0, level = 1.0', r"expected none, got 1 number: 1"),
     ('family = "constant"', r"level is missing; family 'constant'"),
-    (
-        'family = "ramp", constants = [1.0, 2.0]',
-        r"constants: .*available: level, slope",
-    ),
+    ('family = "ramp", constants = [1.0, 2.0]', r"constants: .*available: level, slope"),
     (
         'family = "polynomial", degree = 1, level = 1.0',
         r"level: not a constant of family 'polynomial'; available: constants",
@@ -109,25 +103,16 @@ WRONG_TERMS = [
     ),
     ('family = "ramp", level = 1.0', r"slope is missing; family 'ramp'"),
     ('family = "ramp", amplitude = 1.0', r"amplitude: not a constant of family 'ramp'"),
-    (
-        'family = "exponential", theta = 1.0, phase = 1.0',
-        r"phase: .*'exponential'",
-    ),
+    ('family = "exponential", theta = 1.0, phase = 1.0', r"phase: .*'exponential'"),
     (
         'family = "sine", theta = 1.0, phase = 1.0, constants = [1.0, 1.0]',
         r"constants: not a constant of family 'sine'; available: amplitude, phase",
     ),
     ('family = "polynomial", constants = [1.0]', r"degree is missing; family 'polynomial'"),
     ('family = "polynomial", degree = 9, constants = [1.0]', r"degree: expected 0 to 8, got 9"),
-    (
-        'family = "ramp", degree = 1, level = 1.0, slope = 1.0',
-        r"degree: .*'polynomial' only",
-    ),
+    ('family = "ramp", degree = 1, level = 1.0, slope = 1.0', r"degree: .*'polynomial' only"),
     ('family = "linear", c = [1.0], constants = [1.0]', r"G0 is missing; family 'linear'"),
-    (
-        'family = "linear", G0 = [[0, 1], [0]], c = [1, 0], constants = [1, 1]',
-        r"G0: .*\[2, 1\]",
-    ),
+    ('family = "linear", G0 = [[0, 1], [0]], c = [1, 0], constants = [1, 1]', r"G0: .*\[2, 1\]"),
     (
         'family = "linear", G0 = [[0, 0], [0, -1]], c = [1, 0], constants = [1, 1]',
         r"terms\[0\]: .*'linear': c = \[1.0, 0.0\]",
@@ -283,11 +268,7 @@ def test_what_least_squares_does_not_tell_apart_is_noted(tmp_path, subtests):
         "(delays 0.4 s apart)"
     )
     of_decays = "theta[0], theta[1]: two exponentials under one alpha come back the larger first"
-    for terms, notes in [
-        ([sine, decays[0]], [of_sine]),
-        (decays, [of_decays]),
-        (decays[:1], []),
-    ]:
+    for terms, notes in [([sine, decays[0]], [of_sine]), (decays, [of_decays]), (decays[:1], [])]:
         with subtests.test(notes=notes), ExitStack() as resources:
             count = 1 + len(terms) + (sine in terms)
             delays = [round(0.4 * (j + 1), 1) for j in range(count)]
@@ -318,11 +299,7 @@ INDISTINGUISHABLE = [
     (["constant", "constant"], "", r"terms\[0\] \(constant\) and terms\[1\] \(constant\) sha"),
     (["ramp", "constant"], "", r"both make a constant.*family 'ramp' is the sum of both"),
     (["sine", "constant"], "bounds = [[0, 0]]", r"both make a constant.*merge them into one"),
-    (
-        ["sine", "constant"],
-        "bounds = [[0, 1e-3]]",
-        r"is a straight line in the 12 s of the run",
-    ),
+    (["sine", "constant"], "bounds = [[0, 1e-3]]", r"is a straight line in the 12 s of the run"),
     (
         ["exponential", "exponential"],
         "bounds = [[-1, -1], [-1, -1]]",
@@ -470,11 +447,7 @@ def test_elements_may_have_signals_as_alphas(tmp_path):
 
 WRONG_ELEMENTS = [
     (TWO, 'method = "least-squares"', r'"least-squares": .*one element of delta, got 2'),
-    (
-        [{**TWO[1], "element": 2}, TWO[0]],
-        "",
-        r"got none for element 1",
-    ),
+    ([{**TWO[1], "element": 2}, TWO[0]], "", r"got none for element 1"),
     ([TWO[0]], "", r"regressor|size 2|2 unknown disturbances"),
 ]
 

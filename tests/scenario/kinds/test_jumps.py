@@ -5,14 +5,14 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
 import cosim
 from cosim.blocks.source import Table
 from cosim.core.clock import Clock
-from cosim.errors import CosimError, ScenarioError, UsageError
+from cosim.errors import ScenarioError, UsageError
 from cosim.report.inspection import describe_log
 from cosim.report.verification import verify
 from cosim.scenario.building.build import parse
@@ -78,10 +78,7 @@ WRONG_JUMPS = [
         'kind = "table"\nt = [0.0, 0.5, 0.5, 2.0]\ny = [0.0, 1.0, 3.0, 3.0]',
         r"t\[1\] and t\[2\] are both 0\.5 s, a jump.*interpolation = .zero-order.",
     ),
-    (
-        HELD + "t = [0.0, 0.5, 0.4, 2.0]\ny = [0.0, 1.0, 3.0, 3.0]",
-        r"t\[2\] = 0\.4 s.* 0\.5 s",
-    ),
+    (HELD + "t = [0.0, 0.5, 0.4, 2.0]\ny = [0.0, 1.0, 3.0, 3.0]", r"t\[2\] = 0\.4 s.* 0\.5 s"),
     (
         HELD + "t = [0.0, 0.3, 0.3, 2.0]\ny = [0.0, 0.0, 3.0, 3.0]",
         r"table: y jumps at t\[2\] = 0\.3 s.* 0\.25 s or 0\.375 s",
@@ -97,10 +94,7 @@ WRONG_JUMPS = [
     (EXPRESSION + 'y = "t + sign(sin(t))"', r"sign\(sin\(t\)\) jumps; "),
     (EXPRESSION + 'y = "sign(t)"', r"sign\(t\) jumps at 0\.0 s"),
     (EXPRESSION + 'y = ["1", "step(1 - 2*t)"]', r"step\(1 - 2 \* t\) jumps at 0\.5 s"),
-    (
-        SAMPLED + 'y = "step(t - 0.37)"',
-        r"step\(t - 0\.37\) jumps at 0\.37 s.* 0\.25 s or 0\.375 s",
-    ),
+    (SAMPLED + 'y = "step(t - 0.37)"', r"step\(t - 0\.37\) jumps at 0\.37 s.* 0\.25 s or 0\.375 s"),
     (
         SAMPLED + 'y = "sign(t - 0.5)"',
         r"sign\(t - 0\.5\) .* 0\.5 s .*; write 2\*step\(t - 0\.5\) - 1",
@@ -131,14 +125,16 @@ def test_a_value_that_rounding_delays_is_refused(tmp_path):
     assert found.tolist() == [0.0] * 3 + [1.0] * 8
 
 
-def test_jumps_outside_of_the_run_do_not_matter(tmp_path):
+@pytest.mark.parametrize(
+    "table",
+    [
+        EXPRESSION + 'y = "step(t - 0.37) + sign(t - 9.1)"',
+        HELD + "t = [0.0, 0.37, 9.1]\ny = [1.0, 0.0, 3.0]",
+    ],
+)
+def test_jumps_outside_of_the_run_do_not_matter(tmp_path, table):
     """Before the start and after the end nothing is computed."""
-    tables = [
-        (EXPRESSION + 'y = "step(t - 0.37) + sign(t - 9.1)"', 0.0),
-        (HELD + "t = [0.0, 0.37, 9.1]\ny = [1.0, 0.0, 3.0]", 0.0),
-    ]
-    for table, value in tables:
-        assert (run(tmp_path, table, start_time=2.0, stop=3.0)["u.y"] == value).all()
+    assert (run(tmp_path, table, start_time=2.0, stop=3.0)["u.y"] == 0.0).all()
 
 
 def test_jumps_whose_instants_are_not_known_are_said(tmp_path):
@@ -196,81 +192,13 @@ def test_a_regressor_refuses_alphas_that_jump():
         cosim.run("academic", set={"regressor.terms": terms, "regressor.delays": [0.1, 0.2]})
 
 
-CELLS = st.one_of(
-    st.sampled_from([0.0, 0.125, 0.25, 0.3, 0.375, 0.5, 0.75, 1.0, 2.0, -1.0]).map(repr),
-    st.sampled_from(["nan", "-inf", "1e400", "", "x", "1e-320"]),
-)
-INSTANTS = st.lists(CELLS, min_size=1, max_size=6) | st.lists(
-    st.sampled_from([-1.0, 0.0, 0.125, 0.25, 0.3, 0.5, 1.0, 2.0]), min_size=2, unique=True
-).map(lambda instants: [repr(t) for t in sorted(instants)])
-
-
-def rounded(t):
-    """Return the communication point that an instant is but for its rounding, else the instant."""
-    point = round(t / H) * H
-    return point if abs(t - point) <= 4.0 * np.spacing(max(abs(t), H)) else t
-
-
-def right_at(t, y, points, *, hold):
-    """Return a table at instants, searched row by row."""
-    found = []
-    for point in points:
-        if point < t[0]:
-            found.append(y[0])
-        elif point >= t[-1]:
-            found.append(y[-1])
-        else:
-            i = max(i for i in range(len(t)) if t[i] <= point)
-            part = 0.0 if hold else (point - t[i]) / (t[i + 1] - t[i])
-            found.append(y[i] + part * (y[i + 1] - y[i]))
-    return found
-
-
-@given(INSTANTS, st.randoms(use_true_random=False), st.booleans(), st.booleans())
-@settings(max_examples=60)
-def test_a_crafted_table_is_right_or_refused(tmp_path_factory, instants, random, hold, beyond):
-    """Unsorted, twice, off the grid, no numbers, too short: one error, or the right values.
-
-    A held one is right between the points too: it jumps at none of the instants between.
-    """
-    folder = tmp_path_factory.getbasetemp()
-    values = [float(random.randint(0, 3)) for _ in instants]
-    rows = [f"{t},{value}" for t, value in zip(instants, values, strict=True)]
-    (folder / "crafted.csv").write_text("\n".join(["t,y", *rows]))
-    interpolation = "zero-order" if hold else "linear"
-    extrapolation = "hold" if beyond else "error"
-    table = (
-        f'kind = "table"\nfile = "crafted.csv"\ninterpolation = "{interpolation}"\n'
-        f'extrapolation = "{extrapolation}"'
-    )
-    try:
-        recording = run(folder, table)
-    except CosimError:
-        return
-    t = [float(text) for text in instants]
-    assert t == sorted(t)
-    assert hold or len(t) == len(set(t))
-    t = [rounded(instant) for instant in t] if hold else t
-    assert beyond or t[0] <= 0.0 <= 1.0 <= t[-1]
-    found = recording["u.y"]
-    assert found == pytest.approx(right_at(t, values, recording.time("u"), hold=hold), abs=1e-12)
-    if hold:
-        between = np.arange(8) * H + H / 2
-        assert right_at(t, values, between, hold=True) == found[:-1].tolist()
-
-
 @pytest.mark.parametrize(
     ("t", "y", "text"),
     [
-        (
-            [0.0, 0.51, 0.55, 0.59, 1.0],
-            [0.0, 0.0, 100.0, 0.0, 0.0],
-            "1 rows .* t = 0.55 s it is 1 ",
-        ),
+        ([0.0, 0.51, 0.55, 0.59, 1.0], [0.0, 0.0, 9.0, 0.0, 0.0], "1 rows .* t = 0.55 s it is 1 "),
         ([0.0, 0.45, 0.450001, 1.0], [0.0, 0.0, 1.0, 1.0], "2 rows .* t = 0.45 s it is 0.5 "),
         ([0.0, 0.5, 1.0], [0.0, 1.0, 0.0], ""),  # the kink is at a point
-        ([0.0, 0.55, 1.0], [0.0, 0.55, 1.0], ""),  # no kink
-        ([0.0, 0.55, 1.0], [0.0, 0.5501, 1.0], ""),  # nearly none
+        ([0.0, 0.55, 1.0], [0.0, 0.5501, 1.0], ""),  # hardly a kink
         ([0.0, 2.05, 2.1, 3.0], [0.0, 0.0, 9.0, 9.0], ""),  # behind the run
     ],
 )
@@ -327,7 +255,10 @@ def test_a_jump_of_u_does_not_throw_the_reconstruction(jumping_log):
 
 @pytest.mark.slow
 def test_a_run_with_jumps_has_one_hash_and_is_replayed(jumping_log, tmp_path):
-    """In blocks of any length; also where the plant is taken from the log."""
+    """In blocks of any length; also where the plant is taken from the log, which shows them."""
+    content = describe_log(str(jumping_log.path))
+    assert content["run"]["events"] == f"{len(jumping_log.events())} jumps of continuous outputs"
+    assert "overrides" not in content
     for block in (1, 7):
         log = cosim.run("academic", set=JUMPING, block=block, out=tmp_path / f"{block}.mcap")
         assert log.content_hash() == jumping_log.content_hash()
@@ -339,10 +270,3 @@ def test_a_run_with_jumps_has_one_hash_and_is_replayed(jumping_log, tmp_path):
     for signal in ("observer.delta", "regressor.mu", "plant.y"):
         assert swapped[signal].tobytes() == jumping_log[signal].tobytes()
     assert swapped.events() == jumping_log.events()
-
-
-def test_a_log_shows_its_jumps(jumping_log):
-    """How many there are; they are no overrides."""
-    content = describe_log(str(jumping_log.path))
-    assert content["run"]["events"] == f"{len(jumping_log.events())} jumps of continuous outputs"
-    assert "overrides" not in content

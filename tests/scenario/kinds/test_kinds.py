@@ -3,17 +3,20 @@
 import importlib.util
 import sys
 import textwrap
+from contextlib import ExitStack
 from typing import Literal
 
+import numpy as np
 import pytest
 
 import cosim
 from cosim.blocks.sampled import Sampled
+from cosim.core.contracts import prepare
 from cosim.errors import ScenarioError
 from cosim.scenario import kinds
-from cosim.scenario.building.build import parse
+from cosim.scenario.building.build import Builder, parse
 from cosim.scenario.document.document import Document
-from cosim.scenario.kinds import KINDS
+from cosim.scenario.kinds import KINDS, parameters_of
 from cosim.scenario.kinds.base import PeriodicKind
 
 DEAD = """
@@ -71,9 +74,121 @@ def test_a_usage_error_of_the_example_is_a_problem_of_the_file(dead_zone, tmp_pa
     assert "'width' is missing (half the width of the zone" in str(error.value)
 
 
-def test_every_kind_has_the_name_that_it_is_listed_under():
+# --- all kinds ---
+
+# one component of every kind that depends on no file
+PARTS = """
+[scenario]
+name = "parts"
+stop = 1.0
+step = 0.1
+[components]
+constant = { kind = "constant", value = 1.0 }
+step = { kind = "step", time = 0.5 }
+ramp = { kind = "ramp", slope = 1.0 }
+chirp = { kind = "chirp", rate = 1.0, sweep = 1.0 }
+expression = { kind = "expression", y = "t" }
+table = { kind = "table", t = [0.0, 1.0], y = [0.0, 1.0] }
+noise = { kind = "noise", deviation = 1.0, seed = 1 }
+sum = { kind = "sum", signs = [1.0, -1.0] }
+gain = { kind = "gain", K = 2.0 }
+limit = { kind = "limit", lower = 0.0, upper = 1.0 }
+lag = { kind = "lag", time_constant = 1.0 }
+delay = { kind = "delay", delay = 0.1 }
+sensor = { kind = "sensor", dropout = 0.1, seed = 1 }
+product = { kind = "product", operations = "*/" }
+switch = { kind = "switch" }
+integrator = { kind = "integrator" }
+transfer = { kind = "transfer-function", numerator = [1.0], denominator = [1.0, 1.0] }
+pid = { kind = "pid", gain = 1.0 }
+look = { kind = "look-up-table", u = [0.0, 1.0], y = [0.0, 1.0] }
+controller = { kind = "controller", A = [[-1.0]], B = [[1.0]], C = [[1.0]] }
+sampled = { kind = "discrete-state-space", period = 0.1, A = [[0.5]], B = [[1.0]], C = [[1.0]] }
+[connections]
+"sum.u1" = "step.y"
+"sum.u2" = "ramp.y"
+"gain.u" = "ramp.y"
+"limit.u" = "ramp.y"
+"lag.u" = "ramp.y"
+"delay.u" = "ramp.y"
+"sensor.u" = "ramp.y"
+"product.u1" = "ramp.y"
+"product.u2" = "constant.y"
+"switch.u1" = "ramp.y"
+"switch.u2" = "ramp.y"
+"switch.control" = "step.y"
+"integrator.u" = "ramp.y"
+"transfer.u" = "ramp.y"
+"pid.setpoint" = "ramp.y"
+"pid.measurement" = "ramp.y"
+"sampled.u" = "ramp.y"
+"look.u" = "ramp.y"
+"controller.u" = "ramp.y"
+"""
+DEPENDENT = {"fmu", "recording", "field-data", "python"}  # on a file
+
+
+@pytest.fixture(scope="module")
+def components(tmp_path_factory):
+    """Return a component of each kind that depends on no file, initialized, and its step."""
+    file = tmp_path_factory.mktemp("parts") / "parts.toml"
+    file.write_text(PARTS)
+    components = {}
+    for source in ("compensation", file, "academic", "closed-loop"):
+        scenario = cosim.load(source)
+        with ExitStack() as resources:
+            builder = Builder(scenario, resources)
+            for name, spec in scenario.specs.items():
+                component = builder.components[name]
+                n_u = component.interface.n_u
+                prepare(component, 1e-3, np.zeros(n_u, np.bool_), {})
+                component.initialize(0.0, np.ones(n_u))
+                components[spec.kind] = (component.interface, component.native())
+    assert components.keys() == set(KINDS) - DEPENDENT
+    return components
+
+
+def names_of(side, present):
+    """Return the names of the first alternative; those in brackets only where they are present."""
+    first, _, _ = side.partition(", or ")
+    names = [name.strip() for name in first.split(",") if name.strip()]
+    absent = [f"[{name.strip('[]')}]" for name in names if name.strip("[]") not in present]
+    return [name.strip("[]") for name in names if name not in absent]
+
+
+def test_ports_are_those_of_the_component(components):
+    """Inputs before the arrow, outputs after it; where there may be more, the first ones."""
+    mismatches = []
+    for kind, (interface, _) in components.items():
+        inputs, outputs = KINDS[kind].ports.split("->")
+        for side, signals in ((inputs, interface.inputs), (outputs, interface.outputs)):
+            names = [signal.name for signal in signals]
+            shown = names_of(side, names)
+            if "..." in shown:
+                shown.remove("...")
+                names = names[: len(shown)]
+            if shown != names:
+                mismatches.append((kind, shown, names))
+    assert mismatches == []
+
+
+def test_every_kind_has_a_compiled_step(components):
+    """And compiled outputs where they follow inputs, for an algebraic loop to evaluate again."""
+    for kind, (interface, step) in components.items():
+        assert interface.native, kind
+        assert step is not None, kind
+        if any(interface.feeds(signal.name) for signal in interface.outputs):
+            assert step.outputs, kind
+
+
+def test_every_kind_has_the_name_it_is_listed_under_and_explains_its_parameters():
+    """Those of tables inside too; the required ones come first."""
     for name, kind in KINDS.items():
         assert kind.model_fields["kind"].annotation == Literal[name]
+        parameters = parameters_of(kind)
+        assert all(parameter.description for parameter in parameters), name
+        required = [parameter.required for parameter in parameters if "." not in parameter.name]
+        assert required == sorted(required, reverse=True), name
 
 
 def test_a_periodic_kind_must_say_how_its_period_is_kept():
@@ -92,20 +207,3 @@ def test_a_periodic_kind_must_say_how_its_period_is_kept():
     with pytest.raises(TypeError, match="with_period"):
         Forgetful.model_validate({"kind": "forgetful", "period": 0.5})
     assert Keeping.model_validate({"kind": "forgetful", "period": 0.5}).period == 0.5
-
-
-@pytest.mark.parametrize(
-    ("table", "y"),
-    [
-        ('kind = "ramp"\nslope = 2.0\nstart_time = 0.5', [0.0, 0.0, 0.0, 0.5, 1.0]),
-        ('kind = "table"\nt = [0.0, 0.5, 1.0]\ny = [0.0, 1.0, 3.0]', [0.0, 0.5, 1.0, 2.0, 3.0]),
-        (
-            'kind = "table"\nt = [0.0, 0.5, 1.0]\ny = [0.0, 1.0, 3.0]\n'
-            'interpolation = "zero-order"',
-            [0.0, 0.0, 1.0, 1.0, 3.0],
-        ),
-    ],
-)
-def test_a_source_begins_and_interpolates_as_its_table_says(tmp_path, table, y):
-    text = f'[scenario]\nname = "u"\nstop = 1.0\nstep = 0.25\n[components.u]\n{table}\n'
-    assert cosim.run(parse(Document(text, "u", tmp_path)))["u.y"].tolist() == y

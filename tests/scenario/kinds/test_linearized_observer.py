@@ -19,6 +19,8 @@ from cosim.scenario.assumptions.report import check_assumptions
 from cosim.scenario.exporting import export_component
 from cosim.scenario.kinds.linearizing import MovingModel, design_model, model_toml, split
 from tests.fmi.pendulum import FRICTION, G, jacobian, pendulum
+from tests.scenario.fmu_edits import rewritten
+from tests.scenario.refusals import check_refused
 
 pytestmark = pytest.mark.usefixtures("without_verdicts")
 
@@ -150,120 +152,71 @@ filter_rate = 1e4
     return folder / "swing.toml"
 
 
-def error(scenario):
-    """Return the largest error of the wind that the observer estimates."""
-    run = cosim.run(scenario)
-    return abs(run["observer.delta"] - run["wind.y"]).max()
-
-
 @pytest.mark.slow
 def test_an_observer_of_a_nonlinear_plant_errs_by_the_square_of_the_swing(folder):
-    """Linearized at rest under its torque, and used with the whole of u, y and delta.
+    """It neglects G sin(theta)/2 dtheta^2: half the wind leaves a quarter, but for the next order.
 
-    It neglects G sin(theta)/2 dtheta^2: half the wind leaves a quarter of that, but for the next
-    order.
+    Linearized at rest under its torque, or away from it: the constants are part of the observer,
+    which then errs by G sin(theta)/2 (1.5e-4)^2 = 5e-8 without wind.
     """
+
+    def error(amplitude, **model):
+        run = cosim.run(swing(folder, amplitude, **model))
+        return abs(run["observer.delta"] - run["wind.y"]).max()
+
     rest = {"at": 300.0, "start": {"torque": 4.0}}
-    coarse = error(swing(folder, 0.5, **rest))
-    fine = error(swing(folder, 0.25, **rest))
-    assert 3.5 < coarse / fine < 4.5
+    assert 3.5 < error(0.5, **rest) / error(0.25, **rest) < 4.5
+    assert error(0.0, start={"theta": 0.42, "omega": 0.1}) <= 1e-7
 
 
-@pytest.mark.slow
-def test_an_observer_may_be_linearized_where_the_plant_is_not_at_rest(folder):
-    """The constants of the linearization are part of the observer.
-
-    Without wind it errs by what it neglects between the point and the rest of the plant:
-    G sin(theta)/2 (1.5e-4)^2 = 5e-8.
-    """
-    assert error(swing(folder, 0.0, start={"theta": 0.42, "omega": 0.1})) <= 1e-7
-
-
-@pytest.mark.slow
 def test_the_signals_of_the_observer_have_the_units_of_the_fmu(folder):
-    """What drives them is then compared and converted; where an element has none, all have none."""
+    """One an element, or none where an element has none; what drives them is converted."""
     run = cosim.run(swing(folder, 0.1), set={"scenario.stop": 0.01})
     interface = run.channels["observer"].interface
     units = {s.name: s.unit for s in (*interface.inputs, *interface.outputs)}
     assert units == {"u": "N.m", "y": None, "x_a": None, "delta": "N.m", "z": None, "q": None}
-
-
-def test_each_element_has_the_unit_of_its_variable(folder):
-    """Of those that an FMU declares one for all, or one for each."""
     linear = linearize(folder / "pendulum.fmu", start={"theta": 0.5, "torque": 4.0})
-    names = (*linear.states, *linear.outputs)
-    units = {name: f"{number + 1}" if number else "m" for number, name in enumerate(names)}
-    designed = design_model(replace(linear, units={**linear.units, **units}, bases={}), ["wind"])
-    assert [unit.name for unit in designed.units["x_a"]] == [units[name] for name in linear.states]
-    assert [unit.name for unit in designed.units["y"]] == [units[name] for name in linear.outputs]
-    del units[linear.states[1]]
-    lacking = {**linear.units, **units}
-    lacking.pop(linear.states[1], None)
-    assert design_model(replace(linear, units=lacking), ["wind"]).units["x_a"] == ()
+    first, second = linear.states
+    own = {**linear.units, first: "m", second: "2"}
+    designed = design_model(replace(linear, units=own, bases={}), ["wind"])
+    assert [unit.name for unit in designed.units["x_a"]] == ["m", "2"]
+    del own[second]
+    assert design_model(replace(linear, units=own), ["wind"]).units["x_a"] == ()
 
 
-REFUSED = {
-    "no such file": (
-        {"fmu": "no.fmu", "disturbance": "delta"},
-        r".*no\.fmu",
-    ),
-    "no such disturbance": (
+REFUSED = [
+    ({"fmu": "no.fmu", "disturbance": "delta"}, r"components\.observer: .*no\.fmu"),
+    (
         {**MODEL, "disturbance": "detla"},
-        r"disturbance 'detla' is not an input of academic_plant; did you mean 'delta'\?",
+        r"components\.observer: .*'detla' is not an input of academic_plant; did you mean 'delta'",
     ),
-    "a disturbance twice": (
-        {**MODEL, "disturbance": ["delta", "delta"]},
-        r"disturbance 'delta' is named twice",
-    ),
-    "an input twice": (
-        {**MODEL, "inputs": ["u", "delta"]},
-        r"academic_plant: input 'delta' is named twice",
-    ),
-    "no such output": (
-        {**MODEL, "outputs": ["yy"]},
-        r"academic_plant: no output 'yy'; did you mean 'y'\?",
-    ),
-    "no output y": (
+    ({**MODEL, "disturbance": ["delta", "delta"]}, r"disturbance 'delta' is named twice"),
+    ({**MODEL, "inputs": ["u", "delta"]}, r"academic_plant: input 'delta' is named twice"),
+    ({**MODEL, "outputs": ["yy"]}, r"academic_plant: no output 'yy'; did you mean 'y'\?"),
+    (
         {"fmu": "nameless.fmu", "disturbance": "delta"},
         r"academic_plant: .*'y'; did you mean 'y_m'\?.*: y_m, x_a",
     ),
-    "co-simulation only": (
-        {"fmu": "cs.fmu", "disturbance": "delta"},
-        r".*cs\.fmu: is for co-simulation only",
-    ),
-}
-REFUSED_TABLES = {
-    "no disturbance": (
-        {"fmu": "plant.fmu"},
-        r": 'disturbance' is missing",
-    ),
-    "an unknown key": (
+    ({"fmu": "cs.fmu", "disturbance": "delta"}, r".*cs\.fmu: is for co-simulation only"),
+    ({"fmu": "plant.fmu"}, r"observer\.model('\])?: 'disturbance' is missing"),
+    (
         {**MODEL, "output": ["y"]},
-        r"\.output: unknown key 'output'; did you mean 'outputs'\?",
+        r"observer\.model\.output: unknown key 'output'; did you mean 'outputs'\?",
     ),
-    "neither": (3, r": expected a string or a table, got 3"),
-}
+    (3, r"observer\.model('\])?: expected a string or a table, got 3"),
+]
 
 
-@pytest.mark.fast("no such disturbance", "co-simulation only")
-@pytest.mark.parametrize("name", REFUSED)
-def test_an_fmu_without_a_design_model_is_refused(name, folder, foreign2):
-    """One clear error each, with the component: see REFUSED."""
-    from tests.scenario.fmu_edits import rewritten
-
+@pytest.mark.slow
+def test_an_fmu_without_a_design_model_is_refused(folder, foreign2):
+    """One clear error each, with the component, or the key of the table."""
     shutil.copy(foreign2, folder / "cs.fmu")
     rewritten(folder / "plant.fmu", folder / "nameless.fmu", ('name="y"', 'name="y_m"'))
-    model, message = REFUSED[name]
-    with pytest.raises(ScenarioError, match=rf"components\.observer: {message}"):
+
+    def refuse(model):
         cosim.run(folder / "academic.toml", set={"observer.model": model})
 
-
-@pytest.mark.parametrize("name", REFUSED_TABLES)
-def test_a_wrong_table_of_a_design_model_is_refused(name, folder):
-    """One clear error each, with the key: see REFUSED_TABLES."""
-    model, message = REFUSED_TABLES[name]
-    with pytest.raises(ScenarioError, match=rf"observer\.model('\])?{message}"):
-        cosim.run(folder / "academic.toml", set={"observer.model": model})
+    check_refused(REFUSED, refuse, ScenarioError)
 
 
 @pytest.mark.slow
@@ -307,35 +260,27 @@ def test_a_table_names_its_operating_point_and_what_it_lacks(folder):
     assert "delta" not in calm
 
 
-def test_disturbances_are_named_by_elements_or_by_ports_that_exist(tmp_path):
-    """``f[1,1]`` and ``f[1,2]`` are two inputs: neither ``f`` nor an empty name is any."""
+@pytest.mark.parametrize(
+    ("names", "whole", "refused"),
+    [(("f[1]", "f[2]"), ([], [0, 1]), ("f[", "")), (("f[1,1]", "f[1,2]"), None, ("f", "f[1", ""))],
+)
+def test_disturbances_are_named_by_elements_or_by_ports_that_exist(tmp_path, names, whole, refused):
+    """``f[1]`` and ``f[2]`` are the port ``f``; ``f[1,1]`` and ``f[1,2]`` are two inputs."""
 
     def renamed(xml):
-        for old, new in {"torque": "f[1,1]", "wind": "f[1,2]"}.items():
+        for old, new in zip(("torque", "wind"), names, strict=True):
             xml = xml.replace(f'name="{old}"', f'name="{new}"')
         return xml
 
     path = pendulum(tmp_path / "names.fmu", derivatives=True, edit=renamed)
     linearization = linearize(path, outputs=["y"])
-    assert split(linearization, ["f[1,2]"]) == ([0], [1])
-    for name in ("f", "f[1", ""):
+    assert split(linearization, [names[1]]) == ([0], [1])
+    if whole is not None:
+        assert split(linearization, ["f"]) == whole
+    for name in refused:
         message = re.escape(f"disturbance {name!r} is not an input of pendulum")
         with pytest.raises(UsageError, match=message):
             split(linearization, [name])
-
-
-def test_a_disturbance_may_be_a_whole_port(tmp_path):
-    """The two elements ``f[1]`` and ``f[2]`` are the port ``f``."""
-
-    def renamed(xml):
-        for old, new in {"torque": "f[1]", "wind": "f[2]"}.items():
-            xml = xml.replace(f'name="{old}"', f'name="{new}"')
-        return xml
-
-    path = pendulum(tmp_path / "names.fmu", derivatives=True, edit=renamed)
-    linearization = linearize(path, outputs=["y"])
-    assert split(linearization, ["f"]) == ([], [0, 1])
-    assert split(linearization, ["f[2]"]) == ([0], [1])
 
 
 # --- linearized anew along the estimate ---
@@ -448,48 +393,36 @@ def test_a_run_stops_where_the_disturbance_does_not_reach_the_outputs_any_more(f
         cosim.run(fading, set={**ANEW, "scenario.step": 5e-3, "scenario.stop": 1.0})
 
 
-ANEW_REFUSED = {
-    "a model of matrices": (
-        {"observer.relinearize": True},
-        "got the linear model 'academic'",
-    ),
-    "another filter": (
-        {"observer.relinearize": True, "observer.model": MODEL, "observer.filter": "consistent"},
+OF_FMU = {"observer.relinearize": True, "observer.model": MODEL}
+ANEW_REFUSED = [
+    ({"observer.relinearize": True}, "got the linear model 'academic'"),
+    (
+        {**OF_FMU, "observer.filter": "consistent"},
         "relinearize: expected filter = \"first-order\", got 'consistent'",
     ),
-    "a state of the filter": (
-        {"observer.relinearize": True, "observer.model": MODEL, "observer.q0": [0.0]},
-        "q0: not available with relinearize = true",
-    ),
-    "output error": (
-        {"observer.relinearize": True, "observer.model": MODEL},
-        "'observer' is relinearized during the run",
-    ),
-    "a compensator": (
+    ({**OF_FMU, "observer.q0": [0.0]}, "q0: not available with relinearize = true"),
+    (OF_FMU, "'observer' is relinearized during the run, so y"),
+    (
         {
-            "observer.relinearize": True,
-            "observer.model": MODEL,
+            **OF_FMU,
             "components.c": {"kind": "compensator", "poles": [-1.0, -2.0]},
             "connections.c.x_a": "observer.x_a",
         },
         "'observer' is relinearized during the run; stability",
     ),
-    "a start of another size": (
-        {"observer.relinearize": True, "observer.model": MODEL, "observer.x_a0": [0.0]},
+    (
+        {**OF_FMU, "observer.x_a0": [0.0]},
         "x_a0: expected 2 numbers, one per state of the FMU, got 1",
     ),
-}
+]
 
 
-@pytest.mark.parametrize("name", ANEW_REFUSED)
-def test_options_of_another_filter_or_model_are_refused(name, folder):
-    """One clear error each, with the way out: see ANEW_REFUSED."""
-    changes, message = ANEW_REFUSED[name]
-    with pytest.raises(ScenarioError, match=message):
+def test_options_of_another_filter_or_model_are_refused(folder):
+    """One clear error each, with the way out."""
+
+    def refuse(changes):
         cosim.run(folder / "academic.toml", set=changes)
 
-
-def test_an_observer_that_is_linearized_anew_is_not_exported(folder):
-    """An FMU has no other FMU in it."""
+    check_refused(ANEW_REFUSED, refuse, ScenarioError)
     with pytest.raises(UsageError, match="relinearize = false"):
         export_component(cosim.load(far_swing(folder)).set(ANEW), "observer", folder / "x.fmu")

@@ -7,13 +7,11 @@ import pytest
 
 import cosim
 from cosim.core.contracts import prepare
-from cosim.errors import ScenarioError
 from cosim.report.summary import summarize
 from cosim.scenario.record import recorded_identification
 from cosim.testing import check_component
 from tests.scenario.online import (
     COARSE,
-    ONLINE,
     THETA,
     H,
     identifier,
@@ -48,20 +46,16 @@ def standard_error(log):
     return np.reshape(log["identifier.standard_error"], (-1, 2))
 
 
-def prepared(settings=EVERY_STEP):
+def prepared(recorded, settings=EVERY_STEP):
     component = identifier("academic", settings)
     prepare(component, H, np.zeros(9, np.bool_), {})
+    component.initialize(0.0, recorded[0])
     return component
 
 
 def drive(component, recorded, begin, end):
     t = np.arange(begin, end + 1) * H
     return component.advance(t, H, recorded[begin : end + 1])
-
-
-def saved_size(component):
-    state, _ = component.save()
-    return state.state.size
 
 
 @pytest.mark.slow
@@ -86,48 +80,34 @@ def test_the_contract_is_kept(options, recorded):
 
 
 @pytest.mark.usefixtures("without_verdicts")
-def test_a_bound_of_a_file_may_be_infinite(tmp_path):
-    """``inf`` is no bound, in a scenario as in ``cosim identify``; NaN is nothing at all."""
+def test_a_bound_of_a_file_may_be_infinite(sensed, tmp_path):
+    """``inf`` is no bound, in a scenario as in ``cosim identify``; a replay has it too."""
     settings = {**SHORT, "identifier.bounds": [[-np.inf, np.inf], [-np.inf, np.inf]]}
-    log = cosim.run("academic", set=settings, out=tmp_path / "log.mcap")
-    np.testing.assert_array_equal(theta(log), theta(cosim.run("academic", set=SHORT)))
+    log = cosim.run(sensed, set=settings, out=tmp_path / "log.mcap")
+    assert np.isfinite(theta(log)[-1]).all()
+    np.testing.assert_array_equal(theta(log), theta(cosim.run(sensed, set=SHORT)))
     assert cosim.diff(log, cosim.replay(log.path)).equal
-    settings["identifier.bounds"] = [[np.nan, np.inf], [-np.inf, np.inf]]
-    with pytest.raises(ScenarioError, match=r"\[nan, inf\]"):
-        cosim.run("academic", set=settings)
 
 
 def test_a_saved_state_does_not_grow_with_the_samples(recorded):
     """A state of 12 s has the size of one at the beginning, and that of a run ten times as long."""
     sizes = set()
     for settings in (EVERY_STEP, {**EVERY_STEP, "scenario.stop": 120.0}):
-        component = prepared(settings)
-        component.initialize(0.0, recorded[0])
-        sizes.add(saved_size(component))
-        drive(component, recorded, 0, 1200)
-        sizes.add(saved_size(component))
+        component = prepared(recorded, settings)
+        for end in (0, 1200):
+            drive(component, recorded, 0, end)
+            state, _ = component.save()
+            sizes.add(state.state.size)
     assert len(sizes) == 1
     assert sizes.pop() < 1200 * 6  # numbers that the samples of 12 s are
 
 
-def test_a_run_goes_on_from_a_saved_state_after_another_continuation(recorded):
-    """The samples that the other one appended are replaced, whatever they were."""
-    component = prepared()
-    component.initialize(0.0, recorded[0])
-    drive(component, recorded, 0, 1100)
-    state = component.save()
-    expected = drive(component, recorded, 1100, 1200)
-    component.restore(state)
-    other = drive(component, 1.5 * recorded, 1100, 1200)
-    assert not np.array_equal(other, expected)
-    component.restore(state)
-    assert np.array_equal(drive(component, recorded, 1100, 1200), expected)
-
-
 def test_a_state_keeps_its_samples_when_others_come_in_their_places(recorded):
-    """Behind the state that was restored since, behind an initialization, and out of a pickle."""
-    component = prepared()
-    component.initialize(0.0, recorded[0])
+    """Behind the state that was restored since, and behind an initialization.
+
+    It goes on out of a pickle, and in an identifier for a longer run.
+    """
+    component = prepared(recorded)
     drive(component, recorded, 0, 1000)
     early = component.save()
     drive(component, recorded, 1000, 1100)
@@ -142,36 +122,11 @@ def test_a_state_keeps_its_samples_when_others_come_in_their_places(recorded):
     component.restore(early)
     drive(component, recorded, 1000, 1100)
     assert np.array_equal(drive(component, recorded, 1100, 1200), expected)
-    component.restore(pickle.loads(pickle.dumps(late)))
-    assert np.array_equal(drive(component, recorded, 1100, 1200), expected)
-
-
-def test_a_state_goes_on_in_an_identifier_for_a_longer_run(recorded):
-    """Which keeps its samples elsewhere; the one that it is of goes another way meanwhile."""
-    component = prepared()
-    component.initialize(0.0, recorded[0])
-    drive(component, recorded, 0, 1100)
-    state = component.save()
-    expected = drive(component, recorded, 1100, 1200)
-    longer = prepared({**EVERY_STEP, "scenario.stop": 120.0})
-    longer.initialize(0.0, recorded[0])
+    longer = prepared(recorded, {**EVERY_STEP, "scenario.stop": 120.0})
     drive(longer, 1.5 * recorded, 0, 900)
-    own = longer.save()
-    other = drive(longer, 1.5 * recorded, 900, 1000)
-    longer.restore(state)
-    assert np.array_equal(drive(longer, recorded, 1100, 1200), expected)
-    longer.restore(own)
-    assert np.array_equal(drive(longer, 1.5 * recorded, 900, 1000), other)
-
-
-@pytest.mark.fast("0.1")
-@pytest.mark.parametrize("period", [H, 0.1])
-def test_replay_is_bit_exact(period, sensed, tmp_path):
-    """With the recorded design, at every step as at a period."""
-    settings = {**SHORT, "identifier.period": period}
-    log = cosim.run(sensed, set=settings, out=tmp_path / "log.mcap")
-    assert np.isfinite(theta(log)[-1]).all()
-    assert cosim.diff(log, cosim.replay(log.path)).equal
+    for other in (component, longer):
+        other.restore(pickle.loads(pickle.dumps(late)))
+        assert np.array_equal(drive(other, recorded, 1100, 1200), expected)
 
 
 @pytest.mark.usefixtures("without_verdicts")
@@ -188,18 +143,9 @@ def test_an_estimate_rests_on_all_samples_before_it():
 @pytest.mark.usefixtures("without_verdicts")
 def test_an_estimate_does_not_know_how_long_the_run_will_be(method):
     """Bit for bit the same rows, of a run and of one twice as long."""
-    short, long = (
-        cosim.run(
-            "academic",
-            set={
-                **COARSE,
-                "identifier.method": method,
-                "identifier.start": 4.0,
-                "scenario.stop": stop,
-            },
-        )
-        for stop in (16.0, 32.0)
-    )
+    changes = {**COARSE, "identifier.method": method, "identifier.start": 4.0}
+    short = cosim.run("academic", set={**changes, "scenario.stop": 16.0})
+    long = cosim.run("academic", set={**changes, "scenario.stop": 32.0})
     rows = theta(short)
     assert np.isfinite(rows).any()
     np.testing.assert_array_equal(theta(long)[: len(rows)], rows)
@@ -219,13 +165,7 @@ def test_there_is_no_value_before_there_is_an_estimate(sensed):
         assert set(before.view(np.uint64).ravel().tolist()) == {0x7FF8000000000000}
 
 
-def settled(estimates, relative):
-    """Return the first row from which on all relative errors stay below a number."""
-    good = (np.abs(estimates / THETA - 1.0) < relative).all(axis=1)
-    return int(np.flatnonzero(~good)[-1]) + 1
-
-
-@pytest.mark.parametrize("seed", range(1, 5))
+@pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.usefixtures("without_verdicts")
 def test_the_first_estimate_comes_before_mu_counts_and_every_one_keeps_its_error(seed, sensed):
     """From y alone, once no other minimum explains the samples as well."""
@@ -236,16 +176,6 @@ def test_the_first_estimate_comes_before_mu_counts_and_every_one_keeps_its_error
     # 170 estimates of 2 parameters, most of the same samples
     errors = np.abs(estimates[first:] - THETA) / standard_error(log)[first:]
     assert errors.max() < 5.0
-
-
-@pytest.mark.campaign
-@pytest.mark.parametrize("seed", range(1, 9))
-@pytest.mark.usefixtures("without_verdicts")
-def test_one_percent_and_a_thousandth_come_as_early_as_the_bound_lets_them(seed, sensed):
-    """At 1 ms and noise 1e-3 about 3.0 s and 7.5 s; two deviations of that are a third more."""
-    log = cosim.run(sensed, set={**ONLINE, "scenario.stop": 15.0, "sensor.seed": seed})
-    assert settled(theta(log), 1e-2) * 0.1 < 4.5
-    assert settled(theta(log), 1e-3) * 0.1 < 10.0
 
 
 @pytest.mark.parametrize(
@@ -293,8 +223,7 @@ def test_bounds_fix_theta_and_keep_it(sensed):
     assert np.isnan(theta(away)[:, 1]).all()
 
 
-@pytest.mark.fast("2")
-@pytest.mark.parametrize("seed", [1, 2, 4, 5])
+@pytest.mark.parametrize("seed", [2, 5])
 @pytest.mark.usefixtures("without_verdicts")
 def test_an_absent_component_has_no_value(seed, sensed):
     """Of two exponentials of which one has the amplitude 0 the other is estimated.
@@ -328,9 +257,10 @@ def test_a_zero_order_hold_costs_the_square_of_the_step_or_the_step():
 
 
 NO_SENSE = [
-    ({"window": 0.0}, "window: expected a positive finite time, got 0.0 s"),
+    ({"window": 0.0}, r"identifier.window'\]: expected a number > 0, got 0.0"),
     ({"window": 8.0, "forgetting": 3.0}, "window and forgetting, got both"),
     ({"window": 0.0151}, "window of 'identifier'"),
+    ({"bounds": [[np.nan, np.inf], [-np.inf, np.inf]]}, r"\[nan, inf\]"),
     ({"bounds": [[0.0, -1.0], [0.0, 1.0]]}, r"identifier: bounds of theta\[0\]: .*got \[0, -1\]"),
     ({"P0": 1.0}, "P0: .*'output-error'"),
 ]
@@ -342,7 +272,7 @@ def test_options_that_make_no_sense_are_refused():
 
 
 def test_the_verdict_of_a_window_is_made_of_its_samples():
-    """Its interval is that of the last 4 s; theta is in it, as it rests on the same samples."""
+    """Its interval is that of the last 4 s, and larger; without samples enough there is none."""
     whole = recorded_identification(run())["identifier"].parameters
     log = run(window=4.0)
     found = recorded_identification(log)["identifier"]
@@ -350,13 +280,9 @@ def test_the_verdict_of_a_window_is_made_of_its_samples():
     for part, full in zip(found.parameters, whole, strict=True):
         assert part.standard_error is None or part.standard_error > full.standard_error
     assert "of the last 4 s" in " ".join(summarize(log).identifications[0].notes)
-
-
-def test_a_window_too_short_for_a_value_has_no_verdict_of_other_samples():
-    """No number stands beside an estimate that has none."""
-    log = run(window=3 * H)
-    assert np.isnan(theta(log)[-1]).all()
-    found = recorded_identification(log)["identifier"]
+    short = run(window=3 * H)
+    assert np.isnan(theta(short)[-1]).all()
+    found = recorded_identification(short)["identifier"]
     assert found.problem
     assert found.parameters == ()
 
@@ -367,9 +293,25 @@ def test_verdicts_beside_forgetting_say_that_they_do_not_forget():
     assert np.isnan(theta(log)[-1]).all()
     notes = " ".join(summarize(log).identifications[0].notes)
     assert "weigh all samples equally" in notes
-    assert (
-        "identifier.theta itself has no value at the end: no fit during the run led to one" in notes
-    )
+    assert "identifier.theta itself has no value at the end" in notes
     found = recorded_identification(log)["identifier"]
-    assert "the fit after the run did" in notes
     assert {parameter.verdict for parameter in found.parameters} == {"IDENTIFIABLE"}
+
+
+@pytest.mark.usefixtures("without_verdicts")
+def test_the_smoothed_disturbance_does_not_lag_as_that_of_the_observer_does():
+    """The start of a Kalman filter is of smoothed delta, beside alphas of its own instants.
+
+    The smoothed delta errs by 1e-3 of theta (see the theory's tests); with alphas half a second
+    late the search began elsewhere and ended 4 off.
+    """
+    changes = {
+        "identifier.method": "augmented-kalman",
+        "identifier.start": 12.0,
+        "observer.filter": "consistent",
+        "observer.filter_rate": 2.0,
+        "scenario.step": 0.02,
+        "scenario.stop": 24.0,
+    }
+    log = cosim.run("academic", set=changes)
+    np.testing.assert_allclose(log["identifier.theta"][-1], THETA, rtol=0, atol=5e-3)

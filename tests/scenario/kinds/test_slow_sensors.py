@@ -47,31 +47,26 @@ def errors(log):
     return np.array([one.standard_error for one in verdicts(log).parameters])
 
 
+def check_online(log, part):
+    """Check the estimate against the verdict, both of good data, with the truth in the interval."""
+    found = verdicts(log)
+    assert [one.verdict for one in found.parameters] == 2 * ["IDENTIFIABLE"]
+    theta = np.array([one.value for one in found.parameters])
+    assert (np.abs(theta - [-0.1, -0.3]) < 4.0 * errors(log)).all()
+    assert (np.abs(log["identifier.theta"][-1] - theta) < part * errors(log)).all()
+
+
 def test_standard_errors_are_those_of_the_samples_that_there_are(slow):
     """They are the bound for a hundredth of the samples, 10 times that for all.
 
     Their own noise is that of the deviation, 1/sqrt(800) = 3.5 %, and the sum over 401 samples is
-    that over 40001 to 1 %: within 15 %.
+    that over 40001 to 1 %: within 15 %. The residual of held samples would be no noise.
     """
     np.testing.assert_allclose(errors(slow), 10.0 * 1e-3 * BOUND, rtol=0.15)
     online = slow["identifier.standard_error"][-1]
     np.testing.assert_allclose(online, errors(slow), rtol=0.05)
     assert slow["identifier.deviation"][-1] == pytest.approx(1e-3, rel=0.15)
-
-
-def test_the_verdict_is_that_of_good_data(slow):
-    """The residual of held samples would be no noise."""
-    found = verdicts(slow)
-    assert [one.verdict for one in found.parameters] == 2 * ["IDENTIFIABLE"]
-    assert [one.verdict for one in found.estimate] == 2 * ["IDENTIFIABLE"]
-    for one, true in zip(found.parameters, [-0.1, -0.3], strict=True):
-        assert abs(one.value - true) < 4.0 * one.standard_error
-
-
-def test_online_is_offline(slow):
-    """Both count the same samples, with the inputs at all communication points between them."""
-    offline = np.array([one.value for one in verdicts(slow).parameters])
-    assert (np.abs(slow["identifier.theta"][-1] - offline) < 0.05 * errors(slow)).all()
+    check_online(slow, 0.05)
 
 
 def test_the_data_of_a_log_are_the_samples(tmp_path):
@@ -95,8 +90,7 @@ def test_lost_samples_do_not_count():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("jitter", [0.0, 1e-2])
-def test_errors_have_the_size_of_standard_errors_over_seeds(jitter):
+def test_errors_have_the_size_of_standard_errors_over_seeds():
     """Over 8 seeds: the sum of 16 squares is a chi-square of 16 degrees, 3e-4 below 3.3, above 43.
 
     Held samples as new ones would make it ten times that. Jitter, of which the sensor says nothing,
@@ -104,7 +98,7 @@ def test_errors_have_the_size_of_standard_errors_over_seeds(jitter):
     """
     squares = 0.0
     for seed in range(8):
-        log = run(period=PERIOD, jitter=jitter, seed=seed)
+        log = run(period=PERIOD, jitter=1e-2, seed=seed)
         found = verdicts(log).parameters
         for one, true in zip(found, [-0.1, -0.3], strict=True):
             squares += ((one.value - true) / one.standard_error) ** 2
@@ -117,16 +111,13 @@ def test_a_delay_that_no_sensor_tells_is_inconsistent():
     assert [one.verdict for one in found.parameters] == 2 * ["INCONSISTENT"]
 
 
-@pytest.mark.fast("delay", "slow with jitter")
 @pytest.mark.parametrize(
     "changes",
     [
-        {"period": PERIOD, "delay": 0.05},
         {"period": PERIOD, "delay": 0.163, "dropout": 0.1},
-        {"delay": 0.025, "jitter": 0.005},
         {"period": PERIOD, "delay": 0.025, "jitter": 0.02},
     ],
-    ids=["delay", "parts of steps, lost ones", "jitter", "slow with jitter"],
+    ids=["parts of steps, lost ones", "slow with jitter"],
 )
 def test_samples_with_time_stamps_count_at_their_instants(changes):
     """Delay and jitter cost nothing: the deviation is that of the noise, the interval holds.
@@ -134,13 +125,8 @@ def test_samples_with_time_stamps_count_at_their_instants(changes):
     Online as in the verdict, which has the last samples too: those of the delay.
     """
     log = run(time_stamps=True, **changes)
-    found = verdicts(log)
-    assert [one.verdict for one in found.parameters] == 2 * ["IDENTIFIABLE"]
-    assert found.deviation[0] == pytest.approx(1e-3, rel=0.15)
-    for one, true in zip(found.parameters, [-0.1, -0.3], strict=True):
-        assert abs(one.value - true) < 4.0 * one.standard_error
-    offline = np.array([one.value for one in found.parameters])
-    assert (np.abs(log["identifier.theta"][-1] - offline) < 0.2 * errors(log)).all()
+    assert verdicts(log).deviation[0] == pytest.approx(1e-3, rel=0.15)
+    check_online(log, 0.2)
 
 
 @pytest.mark.slow
@@ -228,30 +214,20 @@ seed = 2
     return path
 
 
-def test_sensors_with_one_period_are_one(tmp_path):
-    """Their samples have the same times; the noise of each is its own."""
-    log = cosim.run(two_sensors(tmp_path, "period = 0.1"))
-    found = verdicts(log)
-    assert [one.verdict for one in found.parameters] == 2 * ["IDENTIFIABLE"]
-    np.testing.assert_allclose(found.deviation, [0.1, 1e-3], rtol=0.2)
-
-
-@pytest.mark.fast("period = 0.05-401", "period = 0.03-667")
+@pytest.mark.fast("period = 0.1-201", "period = 0.03-667")
 @pytest.mark.parametrize(
-    ("second", "samples"), [("", 2001), ("period = 0.05", 401), ("period = 0.03", 667)]
+    ("second", "samples"),
+    [("", 2001), ("period = 0.1", 201), ("period = 0.05", 401), ("period = 0.03", 667)],
 )
 def test_each_sensor_counts_at_its_own_times(tmp_path, second, samples):
     """At every point, in turn with the other or not; a later fit of the log is that of the run."""
-    path = two_sensors(tmp_path, second)
-    log = cosim.run(path, out=tmp_path / "two.mcap")
-    found = verdicts(log)
-    assert [one.verdict for one in found.parameters] == 2 * ["IDENTIFIABLE"]
-    np.testing.assert_allclose(found.deviation, [0.1, 1e-3], rtol=0.2)
-    offline = np.array([one.value for one in found.parameters])
-    assert (np.abs(log["identifier.theta"][-1] - offline) < 0.2 * errors(log)).all()
+    log = cosim.run(two_sensors(tmp_path, second), out=tmp_path / "two.mcap")
+    np.testing.assert_allclose(verdicts(log).deviation, [0.1, 1e-3], rtol=0.2)
+    check_online(log, 0.2)
     record = identifier_record(log)
     np.testing.assert_array_equal(record.data.measured.sum(axis=0), [201, samples])
     later = identify_records([record]).assessment
+    offline = [one.value for one in verdicts(log).parameters]
     np.testing.assert_array_equal(later.fit.theta, offline)
 
 
@@ -272,9 +248,7 @@ def test_an_output_without_a_sensor_counts_at_every_point(tmp_path, bare):
     np.testing.assert_array_equal(record.data.y[:, bare], log["plant.y"][:, bare])
 
 
-@pytest.mark.fast("sensor0")
-@pytest.mark.parametrize("sensor", [{"dropout": 0.2}, {"period": 0.05}])
-def test_an_unstable_plant_is_identified_by_the_samples_that_are_there(sensor, tmp_path):
+def test_an_unstable_plant_is_identified_by_the_samples_that_are_there(tmp_path):
     """Online as after the run, with the truth in the interval; and a replay has the same bits."""
     changes = {
         "models.academic.A": [[2, 1, 1], [0, -2, 1], [1, 0, 1]],
@@ -282,16 +256,10 @@ def test_an_unstable_plant_is_identified_by_the_samples_that_are_there(sensor, t
         "scenario.step": 1e-2,
         "observer.filter_rate": 50.0,
         "identifier.period": 2.0,
+        "sensor.dropout": 0.2,
     }
-    changes |= {f"sensor.{key}": value for key, value in sensor.items()}
-    out = tmp_path / "unstable.mcap"
-    log = cosim.run(cosim.load("academic-noisy").set(changes), out=out)
-    theta = log["identifier.theta"][-1]
-    error = log["identifier.standard_error"][-1]
-    assert (np.abs(theta - [-0.1, -0.3]) < 4.0 * error).all()
-    for parameter, value, deviation in zip(verdicts(log).parameters, theta, error, strict=True):
-        assert parameter.verdict == "IDENTIFIABLE"
-        assert parameter.standard_error == pytest.approx(deviation, rel=0.05)
-        assert parameter.value == pytest.approx(value, abs=0.1 * deviation)
-    again = cosim.replay(out, out=tmp_path / "again.mcap")
+    log = cosim.run("academic-noisy", set=changes, out=tmp_path / "unstable.mcap")
+    np.testing.assert_allclose(log["identifier.standard_error"][-1], errors(log), rtol=0.05)
+    check_online(log, 0.1)
+    again = cosim.replay(log)
     assert again["identifier.theta"].tobytes() == log["identifier.theta"].tobytes()

@@ -68,12 +68,6 @@ def test_a_log_replays_bit_for_bit(log):
         assert part.steps == len(whole["motor.y"]) - 1
 
 
-def test_a_period_is_named_to_the_nanosecond_too(log):
-    """As 2/120 s, or as the number next to it."""
-    run = run_pair(120, **{"controller.period": 0.016666667})
-    assert (run["controller.y"] == log["controller.y"]).all()
-
-
 def test_a_recording_takes_the_place_of_what_it_recorded(log):
     """At its stamps, which are up to half a nanosecond from the points of the run."""
     run = cosim.run("pair", set=changes_of(120), swap={"motor": str(log.path)})
@@ -94,16 +88,6 @@ def test_parts_of_a_log_are_cut_and_joined(log, tmp_path):
     assert cosim.open_log(joined).content_hash() == log.content_hash()
     with pytest.raises(CosimError, match=r"rows from 0.516666667 s on are missing"):
         merge([first, late], tmp_path / "not.mcap")
-
-
-def test_metrics_of_a_study_are_those_of_its_logs(tmp_path):
-    """Members reduce their rows as they come, at the stamps that their logs have."""
-    metrics = {"late": "first(t, motor.y > 50)", "mean": "mean(motor.y, t > 0.6)"}
-    vary = {"controller.gain": [0.5, 0.6]}
-    study = cosim.study("pair", set=changes_of(60), vary=vary, metrics=metrics, out=tmp_path / "s")
-    log = run_pair(60, tmp_path / "pair.mcap")
-    (row, _) = study.table(metrics).to_pylist()
-    assert row == cosim.metrics(log, metrics)
 
 
 def test_the_error_of_the_step_is_estimated_from_halves_of_it(tmp_path):

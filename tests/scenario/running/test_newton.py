@@ -25,14 +25,6 @@ def test_a_replay_is_verified(log):
     assert "plant.x_a" in verification.copied
 
 
-@pytest.mark.parametrize("block", [1, 7])
-def test_blocks_do_not_matter(log, block):
-    """Of any length."""
-    again = cosim.run("closed-loop", set=NEWTON, block=block)
-    for signal in log:
-        assert again[signal].tobytes() == log[signal].tobytes(), signal
-
-
 @pytest.mark.slow
 def test_the_coupling_error_is_a_hundredth_of_that_of_gauss_seidel(log):
     """At 1 ms; beside a run of Newton's method with a tenth of the step."""

@@ -7,14 +7,7 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.blocks.sampled import Sampled
-from cosim.blocks.source import ramp
-from cosim.blocks.state_space import DiscreteStateSpace, system_matrices
-from cosim.core.clock import Clock
-from cosim.core.graph import Graph
-from cosim.core.master import run
-from cosim.core.recorders import Memory
-from cosim.errors import ClockError, ScenarioError, UsageError
+from cosim.errors import ScenarioError
 from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import Document
 from cosim.scenario.exporting import export_component
@@ -86,23 +79,6 @@ def test_chain_follows_the_table(rates, offsets, stop, expected, subtests):
             for number, row in enumerate(expected, start=1):
                 if row is not None:
                     assert at_all_points(log, f"p{number}") == row
-
-
-@pytest.mark.parametrize("native", [True, False])
-def test_compiled_steps_follow_the_table(native):
-    """A step in C, and the same in Python."""
-    one = np.ones((1, 1))
-    matrices = system_matrices("accumulator", A=one, B=one, C=one, D=None, x0=None)
-    components = {
-        "p0": ramp(slope=1.0),
-        "p1": Sampled(DiscreteStateSpace(matrices), 2, hold=True, offset=1),
-        "p2": Sampled(DiscreteStateSpace(matrices), 3, hold=True, offset=2),
-    }
-    graph = Graph(components, {"p1.u": "p0.y", "p2.u": "p1.y"}, native=native)
-    memory = Memory()
-    run(graph, Clock(12.0, 1.0), memory)
-    assert memory["p1.y"].tolist() == TWO_FROM_ONE
-    assert memory["p2.y"].tolist() == THREE_FROM_TWO
 
 
 def test_a_log_with_offsets_replays(tmp_path):
@@ -182,26 +158,3 @@ def test_rates_that_are_none_are_refused(subtests):
             with pytest.raises(ScenarioError) as error:
                 sampled(**keys)
             assert text in str(error.value)
-
-
-def test_an_offset_beyond_the_period_is_refused(subtests):
-    for offset in [-1, 3, 4]:
-        with subtests.test(offset=offset):
-            one = np.ones((1, 1))
-            matrices = system_matrices("accumulator", A=one, B=one, C=one, D=None, x0=None)
-            with pytest.raises(
-                ClockError, match=r"offset: expected 0 or more.* got -?\d communication steps?"
-            ):
-                Sampled(DiscreteStateSpace(matrices), 3, offset=offset)
-
-
-def test_an_exported_controller_has_no_offset_and_no_interpolation(tmp_path, subtests):
-    for keys, found in [
-        ("offset = 0.04", r"offset = 0\.04"),
-        ('input_interpolation = "linear"', "input_interpolation = 'linear'"),
-    ]:
-        with subtests.test(keys=keys):
-            path = tmp_path / "sampled.toml"
-            path.write_text(FEEDTHROUGH.format(keys=f", period = 0.1, {keys}"), encoding="utf-8")
-            with pytest.raises(UsageError, match=f"an exported controller .*got {found}$"):
-                export_component(str(path), "c", tmp_path / "c.fmu")

@@ -5,9 +5,7 @@ import pytest
 from mcap.reader import make_reader
 
 import cosim
-from cosim.errors import CosimError, ScenarioError, UsageError
-from cosim.report.plots.runs import plot_signals
-from cosim.report.summary import span, summarize
+from cosim.errors import CosimError, ScenarioError
 from cosim.scenario.exporting import export_component
 
 START = 16.0
@@ -91,16 +89,6 @@ def test_an_fmu_starts_there(tmp_path, logs):
         np.testing.assert_allclose(swapped["plant.y"], logs[START]["plant.y"], atol=1e-9)
 
 
-@pytest.mark.slow
-def test_a_report_names_both_ends(tmp_path, logs):
-    summary = summarize(logs[START])
-    assert (summary.start, summary.end) == (16.0, 17.0)
-    assert span(16.0, 17.0) == "16 s to 17 s"
-    assert span(0.0, 40.0) == "40 s"
-    assert span(1e6, 1000001.25) == "1000000 s to 1000001.25 s"
-    plot_signals(logs[START], ["plant.y"], tmp_path / "a.png")
-
-
 def swapped_for_log(log, start, stop):
     """Run with the recorded plant of a log, from ``start`` to ``stop``."""
     changes = shifted(START, **{"identifier.start": start + 0.3})
@@ -156,22 +144,3 @@ def test_an_identifier_cannot_begin_before_its_regressor_has_a_value(logs):
         else:
             with pytest.raises(CosimError, match=r"longest delay, 0\.3 s after start_time, 16\.0"):
                 cosim.run("closed-loop", set=changes)
-
-
-@pytest.mark.usefixtures("without_verdicts")
-def test_a_computed_start_of_the_identification_counts_from_the_start_of_the_run():
-    """(36) is a duration."""
-    computed = {"identifier.start": {"epsilon_observer": 1e-3, "epsilon_filter": 1e-3}}
-    summaries = []
-    for start in (0.0, START):
-        changes = shifted(start, **computed)
-        changes["scenario.stop"] = start + 0.01
-        changes["identifier.period"] = 1e-3
-        summaries.append(summarize(cosim.run("closed-loop", set=changes)).identifications[0])
-    assert summaries[1].start_time == summaries[0].start_time + START
-    assert summaries[1].times == summaries[0].times
-
-
-def test_a_replay_keeps_its_start(logs):
-    with pytest.raises(UsageError, match=r"scenario\.start_time'?\]?: .*got 16\.5 s"):
-        cosim.replay(logs[START], set={"scenario.start_time": 16.5})

@@ -1,0 +1,368 @@
+"""The commands on logs: what they contain, how they differ, and what is made of them."""
+
+import json
+import signal
+import subprocess
+import sys
+from contextlib import ExitStack
+from functools import partial
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+import cosim
+from cosim.log import McapRecorder
+from tests.log.crafting import change_rows, put_together, take_apart
+from tests.log.recordings import blocks, layout, plan, record, table
+
+# --- what they contain ---
+
+
+@pytest.mark.parametrize(
+    ("source", "key", "named"),
+    [
+        ("a.mcap", "run", "content hash\t"),
+        ("closed-loop", "connections", "gauss-seidel controller plant observer"),
+        ("plant.fmu", "variables", "der(x_a[0])"),
+        ("field.mcap", "fields", "/drive/state.position\t"),
+    ],
+)
+def test_info_shows_what_there_is(call, files, source, key, named):
+    """Of a log, a scenario, an FMU and a recording of another tool, as tables and as JSON."""
+    code, out, _ = call("info", source)
+    assert code == 0
+    assert named in out
+    assert json.loads(call("info", source, "--json")[1])[key]
+
+
+@pytest.mark.usefixtures("files")
+def test_info_says_what_is_recorded_of_what(call):
+    """Of a partial log; nothing of it is said of a whole one."""
+    lines = call("info", "part.mcap")[1].splitlines()
+    assert {"partial", "of signals\t24"} <= set(lines)
+    about = json.loads(call("info", "part.mcap", "--json")[1])["partial"]
+    missing = about.pop("not recorded")
+    assert about == {
+        "signals": ["plant.*", "observer.delta"],
+        "every": 10,
+        "recorded signals": 6,
+        "of signals": 24,
+        "recorded components": 2,
+        "of components": 6,
+    }
+    assert missing["u"] == ["y"]
+    assert "plant" not in missing
+    assert "partial" not in json.loads(call("info", "a.mcap", "--json")[1])
+
+
+@pytest.fixture
+def overridden(tmp_path):
+    """Write two logs of six overrides each, with other values."""
+    for name, value in (("a", 0.3), ("b", 0.4)):
+        loaded = cosim.load("academic").set({"scenario.stop": 0.02})
+        with loaded.start(out=tmp_path / f"{name}.mcap") as sim:
+            for _ in range(6):
+                sim.step()
+                sim["plant.u"] = value
+                sim.step()
+                sim.release("plant.u")
+
+
+@pytest.mark.usefixtures("overridden")
+def test_overrides_are_shown_and_compared(call):
+    """How many, the first ten of them, and where two logs first differ in them."""
+    out = call("info", "a.mcap")[1]
+    assert "override 6, follow " in out
+    assert "0.001\tplant.u\toverride\t0.3" in out.splitlines()
+    assert "not shown\t2" in out.splitlines()
+    assert len(json.loads(call("info", "a.mcap", "--json")[1])["overrides"]) == 10
+    code, out, _ = call("diff", "a.mcap", "b.mcap", "plant.u")
+    assert code == 1
+    assert out.splitlines()[-1] == (
+        "events: 12 in a, 12 in b: 6 of 12 jumps differ; first plant.u at 0.001 s: override 0.3, "
+        "override 0.4"
+    )
+    for b, options, said in [
+        ("a.mcap", ("plant.u",), "12 in b: equal"),
+        ("b.mcap", ("plant.u", "--atol", "0.2"), "12 in b: within the tolerance"),
+    ]:
+        code, out, _ = call("diff", "a.mcap", b, *options)
+        assert code == 0
+        assert said in out
+    assert "events" not in call("diff", "a.mcap", "b.mcap", "plant.delta")[1]
+
+
+# --- the hash of what they contain ---
+
+
+@pytest.mark.usefixtures("files")
+def test_the_hash_of_a_log_is_printed(call):
+    """As sha256sum prints it; with the hash of each signal, if they are asked for."""
+    log = cosim.open_log("a.mcap")
+    assert call("hash", "a.mcap") == (0, f"{log.recorded_hash}  a.mcap\n", "")
+    code, out, _ = call("hash", "a.mcap", "--signals")
+    own, *signals = [line.split("  ", 1) for line in out.splitlines()]
+    assert (code, own) == (0, [log.recorded_hash, "a.mcap"])
+    assert {name: digest for digest, name in signals} == log.signal_hashes()
+
+
+@pytest.fixture
+def rows(tmp_path):
+    """Write rows.mcap; return its content in pieces."""
+    record(tmp_path / "rows.mcap", steps=50)
+    return take_apart(tmp_path / "rows.mcap")
+
+
+def test_a_changed_value_is_said_and_exits_with_1(call, tmp_path, rows):
+    """All checksums of the file fit; the recorded hash does not, and JSON says which signal's."""
+
+    def change(number, values):
+        if number == 30:
+            values[1] += 1e-15
+
+    change_rows(rows, "plant", change)
+    put_together(rows, tmp_path / "b.mcap")
+    recorded = cosim.open_log("rows.mcap").recorded_hash
+    code, out, err = call("hash", "b.mcap")
+    assert code == 1
+    assert out.split()[1] == "b.mcap"
+    assert recorded not in out
+    assert f"b.mcap: the content hash differs from the recorded {recorded}" in err
+    shown, known = (
+        json.loads(call("hash", name, "--json", "--signals")[1]) for name in ("b.mcap", "rows.mcap")
+    )
+    assert (shown["recorded"], shown["equal"], known["equal"]) == (recorded, False, True)
+    differ = [name for name, digest in known["signals"].items() if shown["signals"][name] != digest]
+    assert differ == ["plant.x_a"]
+    assert "signals" not in json.loads(call("hash", "rows.mcap", "--json")[1])
+
+
+def test_a_log_without_a_recorded_hash_is_said_to_have_none(call, tmp_path, rows):
+    """Another tool may leave it out; there is nothing that it could differ from."""
+    recorded = cosim.open_log("rows.mcap").recorded_hash
+    rows.metadata = [item for item in rows.metadata if item[0] != "cosim.result"]
+    put_together(rows, tmp_path / "b.mcap")
+    said = "b.mcap: no content hash was recorded\n"
+    assert call("hash", "b.mcap") == (0, f"{recorded}  b.mcap\n", said)
+
+
+# --- how they differ ---
+
+
+@pytest.fixture
+def pair(tmp_path):
+    """Write two logs whose plant.u and plant.x_a are apart by 1 and 1e-3."""
+    rows = np.nan_to_num(table(layout(), 100), posinf=1.0, neginf=-1.0)
+    record(tmp_path / "a.mcap", rows=rows)
+    rows[50, 0] += 1.0
+    rows[60, 2] += 1e-3
+    record(tmp_path / "b.mcap", rows=rows)
+
+
+@pytest.mark.usefixtures("pair")
+@pytest.mark.parametrize(
+    ("options", "code", "cells"),
+    [
+        ("", 1, ["outside", "1"]),
+        ("--atol 0.1", 1, ["outside", "1"]),
+        ("--atol 10", 0, ["within", "1"]),
+        ("--atol 0.01 --tol plant.u=1.5", 0, ["within", "1.5", "1"]),
+        ("--tol *=1e-2 --tol plant.u=1.5", 0, ["within", "1.5", "1"]),
+    ],
+)
+def test_tolerances_decide_the_exit_code_of_diff(call, options, code, cells):
+    """1 outside, 0 within; those of single signals are in the table, then."""
+    found, out, err = call("diff", "a.mcap", "b.mcap", *options.split())
+    assert (found, err) == (code, "")
+    header, first = (line.split("\t") for line in out.splitlines()[:2])
+    assert ("tolerance" in header) == ("--tol" in options)
+    assert first[: 1 + len(cells)] == ["plant.u", *cells]
+
+
+@pytest.mark.usefixtures("pair")
+def test_diff_compares_only_the_signals_given(call):
+    """Elements too, in that order; the JSON has the tolerances."""
+    code, out, _ = call("diff", "a.mcap", "b.mcap", "plant.n")
+    assert code == 0
+    assert "plant.u" not in out
+    names = ("plant.x_a[1]", "plant.n")
+    code, out, _ = call("diff", "a.mcap", "b.mcap", *names, "--tol", "plant.*=1.5", "--json")
+    shown = json.loads(out)
+    assert (code, shown["within"], shown["tol"]) == (0, True, {"plant.*": 1.5})
+    assert [row["signal"] for row in shown["signals"]] == list(names)
+
+
+@pytest.mark.usefixtures("pair")
+def test_the_worst_signal_is_drawn(call, tmp_path, monkeypatch):
+    """Its picture is named on stdout, but in JSON; of equal logs there is none, which is said."""
+    drawn = []
+    monkeypatch.setattr(
+        "cosim.report.plots.runs.plot_difference",
+        lambda difference, logs, out: drawn.append((difference.worst.signal, str(out))),
+    )
+    code, out, err = call("diff", "a.mcap", "b.mcap", "--plot", "d.png")
+    assert (code, out.splitlines()[-1], err) == (1, "d.png", "")
+    assert json.loads(call("diff", "a.mcap", "b.mcap", "--json", "--plot", "e.png")[1])
+    assert drawn == [("plant.u", "d.png"), ("plant.u", "e.png")]
+    code, _, err = call("diff", "a.mcap", "a.mcap", "--plot", "f.png")
+    assert (code, err) == (0, "f.png: not drawn, as the largest difference of two values is 0\n")
+    assert len(drawn) == 2
+
+
+@pytest.mark.usefixtures("files")
+def test_diff_says_where_it_compares(call):
+    """Rows and signals that one log has not are not equal: they are not there."""
+    code, out, _ = call("diff", "part.mcap", "a.mcap")
+    assert code == 0
+    assert "u.y\tnot recorded in a" in out
+    note = "note: compared only where both logs have rows: {} instants ({} in a, {} in b)"
+    assert note.format("plant.u at 11", 11, 101) in out.splitlines()
+    assert "note: compared" not in call("diff", "a.mcap", "a.mcap")[1]
+    call("run", "academic", "--stop", "0.2", "--out", "longer.mcap")
+    code, out, _ = call("diff", "a.mcap", "longer.mcap")
+    assert code == 1
+    assert note.format("u.y at 101", 101, 201) in out.splitlines()
+
+
+# --- for other tools ---
+
+
+def test_cat_prints_the_rows_that_are_chosen(call, tmp_path):
+    """With the header; times are exact. Signals may be given one by one, rows as JSON lines."""
+    rows = record(tmp_path / "a.mcap", steps=20)
+    code, out, err = call("cat", "a.mcap", "--signals", "plant.n,plant.u", "--from", "0.008")
+    assert (code, err) == (0, "")
+    header, *lines = out.splitlines()
+    assert header == "t [s],plant.n,plant.u [m/s]"
+    assert lines[0] == f"0.008,{float(rows[8, 4])!r},{float(rows[8, 0])!r}"
+    assert [line.split(",")[0] for line in lines] == [f"{k / 1000}" for k in range(8, 21)]
+    again = call("cat", "a.mcap", "--signals=plant.n", "--signals=plant.u", "--format", "jsonl")
+    assert json.loads(again[1].splitlines()[1])["t"] == 0.001
+
+
+@pytest.mark.usefixtures("files")
+def test_all_that_is_recorded_is_what_commands_take_by_default(call):
+    """Of a partial log."""
+    header, *rows = call("cat", "part.mcap")[1].splitlines()
+    assert header.endswith("plant.x_a[0],plant.x_a[1],plant.x_b,observer.delta")
+    assert [row.partition(",")[0] for row in rows[:3]] == ["0.0", "0.01", "0.02"]
+    assert len(rows) == 11
+    for command in ("convert part.mcap a.csv", "plot part.mcap --out a.svg"):
+        out = command.split()[-1]
+        assert call(*command.split()) == (0, f"{out}\n", "")
+
+
+FOLLOW = [sys.executable, "-m", "cosim", "cat", "a.mcap", "--follow"]
+
+
+@pytest.fixture
+def following(tmp_path):
+    """Follow a log of 20 steps in a process; give that, what it printed, more rows, the end."""
+    first, second = blocks(table(layout(), 40), 20)
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "cwd": tmp_path}
+    with ExitStack() as stack:
+        recorder = stack.enter_context(McapRecorder(tmp_path / "a.mcap", flush=1e-3))
+        recorder.begin(plan())
+        recorder.write(*first)
+        with subprocess.Popen(FOLLOW, **pipes) as process:
+            lines = [process.stdout.readline() for _ in range(22)]
+            assert lines[0].startswith(b"t [s],plant.u")
+            yield process, lines, partial(recorder.write, *second), stack.close
+            process.kill()
+
+
+@pytest.mark.slow
+def test_a_log_is_followed_until_its_run_ends(following, tmp_path):
+    """Each flush is printed while the run goes on, and the whole is what ``cat`` prints later."""
+    process, lines, write_more, end = following
+    write_more()
+    lines.append(process.stdout.readline())
+    end()
+    lines += process.stdout.readlines()
+    assert (process.wait(60), process.stderr.read()) == (0, b"")
+    later = subprocess.run(FOLLOW[:-1], check=True, capture_output=True, cwd=tmp_path).stdout
+    assert b"".join(lines) == later
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("code", [130, 141], ids=["Ctrl-C", "a closed pipe"])
+def test_following_ends_without_a_word(following, code):
+    """With the exit code of Ctrl-C, or at the next row that nobody reads."""
+    process, _, write_more, _ = following
+    if code == 130:
+        process.send_signal(signal.SIGINT)
+    else:
+        process.stdout.close()
+        write_more()
+    assert (process.wait(60), process.stderr.read()) == (code, b"")
+
+
+# --- logs from logs ---
+
+
+@pytest.fixture
+def long_log(tmp_path):
+    """Write a log of 20 s, in several chunks; return its path."""
+    record(tmp_path / "a.mcap", steps=20_000)
+    return tmp_path / "a.mcap"
+
+
+def test_rows_that_damage_cost_are_shown(call, long_log):
+    """By component, with their times, as a table or JSON; the recovered log is partial."""
+    with long_log.open("rb") as stream:
+        chunk = make_reader(stream).get_summary().chunk_indexes[1]
+    data = bytearray(long_log.read_bytes())
+    data[chunk.chunk_start_offset + chunk.chunk_length - 30] ^= 1
+    long_log.with_name("broken.mcap").write_bytes(data)
+    recover = ("recover", "broken.mcap", "-o", "good.mcap")
+    code, out, err = call(*recover)
+    assert (code, err) == (0, "")
+    lines = out.splitlines()
+    assert lines[0] == "component\trows\tlost"
+    assert lines[-1] == "good.mcap: partial, recovered from broken.mcap"
+    assert "the scenario is lost: the log can be read, but not replayed" in lines
+    assert cosim.open_log("good.mcap").status == "partial"
+    assert call(*recover)[0] == 2
+    shown = json.loads(call(*recover, "--force", "--json")[1])
+    assert shown["status"] == "partial"
+    first = next(own["lost"] for own in shown["components"].values() if own["lost"])[0]
+    assert f"{first['rows']} from {first['from']} s to {first['to']} s" in out
+
+
+def test_a_truncated_log_names_the_command_that_recovers_it(call, long_log):
+    """Which says what it cannot know: of a file without an end."""
+    data = long_log.read_bytes()
+    long_log.with_name("b.mcap").write_bytes(data[: len(data) * 3 // 4])
+    code, _, err = call("info", "b.mcap")
+    assert code == 2
+    assert "'cosim recover'" in err
+    code, out, _ = call("recover", "b.mcap", "-o", "c.mcap")
+    assert code == 0
+    assert "are lost, too: the file has no end" in out
+    assert "messages, events or substeps are lost, too, or their number is unknown" in out
+    assert call("info", "c.mcap")[0] == 0
+
+
+# --- metrics ---
+
+
+@pytest.mark.usefixtures("files")
+def test_expressions_may_have_names(call):
+    """The first sign of equality ends one, unless it is a comparison; every digit is printed."""
+    expressions = ["count(t, t >= 0)", "n = count(t, t == 0)", "a b=last(t)", "x = first(t, t < 0)"]
+    values = json.loads(call("metrics", "a.mcap", *expressions, "--json")[1])
+    assert values == {"count(t, t >= 0)": 101.0, "n": 1.0, "a b": 0.1, "x": None}
+    printed = call("metrics", "a.mcap", *expressions)[1]
+    assert printed.splitlines() == ["count(t, t >= 0)\t101.0", "n\t1.0", "a b\t0.1", "x\tno value"]
+    assert cosim.metrics("a.mcap", {"a b": "last(t)"}) == {"a b": 0.1}
+
+
+@pytest.mark.usefixtures("files")
+def test_rows_that_a_log_lacks_are_said(call):
+    """The metrics are those of the rows that it has."""
+    code, out, err = call("metrics", "part.mcap", "count(plant.y)")
+    assert (code, out) == (0, "count(plant.y)\t11.0\n")
+    assert "part.mcap has rows at every 10 steps only; metrics of the whole run" in err
+    call("cut", "a.mcap", "--to", "0.05", "--out", "c.mcap")
+    assert "c.mcap is a part of the log of its run" in call("metrics", "c.mcap", "last(t)")[2]
