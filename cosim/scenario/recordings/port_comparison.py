@@ -220,7 +220,8 @@ def compare_components(
         for row in _port_rows(before.port(name), after.port(name), severity, responses):
             source = sources.get(name)
             rows.append(replace(row, port=name, connected=name in connected, source=source))
-    of_fmus = all(c.capabilities["kind"] in _FMU_KINDS for c in (before, after))
+    fmu_kinds = INTERFACE_TYPE_NAMES.values()
+    of_fmus = all(c.capabilities["kind"] in fmu_kinds for c in (before, after))
     for key in ("kind", *CAPABILITIES):
         old = before.capabilities.get(key)
         new = after.capabilities.get(key)
@@ -230,9 +231,6 @@ def compare_components(
     if before.system is not None or after.system is not None:
         rows.append(pole_row)
     return tuple(rows)
-
-
-_FMU_KINDS: Final = frozenset(INTERFACE_TYPE_NAMES.values())
 
 
 def _port_rows(
