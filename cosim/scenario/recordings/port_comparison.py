@@ -37,7 +37,7 @@ _ROUNDING: Final = (
     1e-6  # smaller numbers are compared as if they were it: what rounding leaves of 0
 )
 
-_PortElements: TypeAlias = Sequence[float] | Vector | None  # None: unknown
+_KnownNumbers: TypeAlias = Sequence[float] | Vector | None  # None: not known
 
 
 class Entry(NamedTuple):
@@ -220,7 +220,8 @@ def compare_components(
         for row in _port_rows(before.port(name), after.port(name), severity, responses):
             source = sources.get(name)
             rows.append(replace(row, port=name, connected=name in connected, source=source))
-    of_fmus = all(c.capabilities["kind"] in _FMU_KINDS for c in (before, after))
+    fmu_kinds = INTERFACE_TYPE_NAMES.values()
+    of_fmus = all(c.capabilities["kind"] in fmu_kinds for c in (before, after))
     for key in ("kind", *CAPABILITIES):
         old = before.capabilities.get(key)
         new = after.capabilities.get(key)
@@ -230,9 +231,6 @@ def compare_components(
     if before.system is not None or after.system is not None:
         rows.append(pole_row)
     return tuple(rows)
-
-
-_FMU_KINDS: Final = frozenset(INTERFACE_TYPE_NAMES.values())
 
 
 def _port_rows(
@@ -348,7 +346,7 @@ def _numbers(aspect: str, old: ComparedPort, new: ComparedPort) -> ComparedAspec
     return ComparedAspect("", aspect, before, new.values(aspect), verdict, ratio=ratio)
 
 
-def _ratio(before: _PortElements, converted: _PortElements) -> float | None:
+def _ratio(before: _KnownNumbers, converted: _KnownNumbers) -> float | None:
     """Return the ratio of the largest numbers; None: one of them is zero, or not known."""
     if before is None or converted is None:
         return None
@@ -396,7 +394,7 @@ def _in_unit_of(old: ComparedPort, new: ComparedPort, aspect: str) -> Vector | N
 
 
 def _same_values(
-    old: _PortElements, new: _PortElements, error: float = _SAME, *, least: float = 1.0
+    old: _KnownNumbers, new: _KnownNumbers, error: float = _SAME, *, least: float = 1.0
 ) -> PortVerdict:
     """Compare numbers relative to the largest, but at least to ``least``."""
     if old is None or new is None:

@@ -77,6 +77,7 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
         records["cosim.connections"][str(to)] = json.dumps(values)
     if experiment.setting_designs:
         records[SETTINGS] = dict(experiment.setting_designs)
+    means = graph.mean_inputs
     for name, spec in scenario.specs.items():
         record = {
             "table": json.dumps(scenario.tree["components"][name]),
@@ -85,7 +86,7 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
         }
         as_of_old = name in graph.means and not asks_for_means(spec)
         if graph.members[name].channel.interface.one_value and not as_of_old:
-            record[MEANS] = json.dumps(graph.mean_inputs.get(name, []))
+            record[MEANS] = json.dumps(means.get(name, []))
         records[f"cosim.component.{name}"] = record
     return records
 

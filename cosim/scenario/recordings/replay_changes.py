@@ -89,11 +89,12 @@ def check_changes(
     if experiment.absent:  # which may be changed, too
         scenario, _ = read(scenario.document, parse)
     drivers: dict[str, set[str]] = {name: set() for name in scenario.specs}
-    followers: dict[str, list[str]] = {}  # a recorded one passes nothing on
+    followers: dict[str, list[str]] = {}
+    recorded = set(experiment.recorded)
     for to, connection in scenario.connections.items():
         for source in connection.sources:
             drivers[to.component].add(source.component)
-            if to.component not in experiment.recorded:
+            if to.component not in recorded:  # which passes nothing on
                 followers.setdefault(source.component, []).append(to.component)
     before, _ = original.tree()
     for change, document in _changed_documents(original, changes, swap, maps):

@@ -108,7 +108,7 @@ def replayed_part(
                 f"{name!r} cannot be computed, as a replay takes it from the log: "
                 f"{_why_recorded(scenario.specs[name])}; available: {listing(computable, 100)}"
             )
-    wanted = [name for name in computable if chosen is None or name in chosen]
+    wanted = set(computable if chosen is None else chosen)
     partial = partial_of(source.channels)
     if partial is None:
         copied = tuple(name for name in scenario.specs if name not in wanted)

@@ -310,11 +310,12 @@ def _check_held(experiment: Experiment, source: CompleteRecording) -> None:
     """
     masks = source.held
     graph = experiment.graph
+    all_means = graph.mean_inputs
     for name in experiment.scenario.specs:
         if name in experiment.recorded:
             continue
         means = component_metadata(source, name).get(MEANS)  # older logs tell nothing
-        own_means = json.dumps(graph.mean_inputs.get(name, []))
+        own_means = json.dumps(all_means.get(name, []))
         has_other_mask = not np.array_equal(masks[name], graph.held[name])
         if has_other_mask or means not in (None, own_means):
             raise LogError(

@@ -138,7 +138,8 @@ class Replays:
         progress: Progress | None,
         profile: dict[str, float] | None = None,
     ) -> Log | Memory:
-        """Replay with some values."""
+        """Replay with some values; refuse a path as :meth:`check_target` does."""
+        self.check_target(target.out, force=target.force)
         window = self.request.window
         beside = None if window is None else window.beside
         with ExitStack() as resources:
@@ -325,25 +326,8 @@ def replay(
             scenario=scenario,
             block=block,
         )
-        return replay_once(
-            replays, out, force=force, progress=progress, notice=notice, profile=profile
-        )
-
-
-def replay_once(
-    replays: Replays,
-    out: str | Path | None,
-    *,
-    force: bool,
-    progress: Progress | None,
-    notice: Notice | None,
-    profile: dict[str, float] | None = None,
-    live: LiveView | None = None,
-) -> Log | Memory:
-    """Replay without other values; parameters as of :func:`replay` and :func:`run`."""
-    replays.check_target(out, force=force)
-    target = Target(out, force, notice=notice, live=live)
-    return replays.record({}, target, progress=progress, profile=profile)
+        target = Target(out, force, notice=notice)
+        return replays.record({}, target, progress=progress, profile=profile)
 
 
 @contextmanager
@@ -361,12 +345,13 @@ def replayed_once(
     Without ``out`` it is gone after the ``with`` block. Till then it is in memory, or, where that
     is much, in a temporary file.
     """
+    target = Target(out, force, notice=notice, live=live)
     if out is not None or not replays.is_large:
-        yield replay_once(replays, out, force=force, progress=progress, notice=notice, live=live)
+        yield replays.record({}, target, progress=progress)
         return
     from cosim.temporary import TemporaryFolder  # most replays need none
 
-    replays.check_target(out, force=force)
+    check_target(out, force=force)
     with TemporaryFolder("replay") as folder:
-        target = Target(folder / "replay.mcap", live=live)
-        yield replays.record({}, target, progress=progress)
+        temporary = Target(folder / "replay.mcap", live=live)
+        yield replays.record({}, temporary, progress=progress)

@@ -8,13 +8,12 @@ import json
 import math
 import textwrap
 from collections import Counter
-from contextlib import ExitStack
 from dataclasses import replace
 
 import pytest
 
 import cosim
-from cosim.errors import RunError, ScenarioError, UsageError
+from cosim.errors import RunError, ScenarioError
 from cosim.fmi.binary.loaded import LoadedInstance
 from cosim.fmi.reading import model_description
 from cosim.report.tables.console import print_shown
@@ -22,8 +21,6 @@ from cosim.report.tables.preparation import show_dry_run
 from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import find
 from cosim.scenario.exporting import export_component
-from cosim.scenario.kinds.base import BuildContext
-from cosim.scenario.kinds.plants import FmuKind
 from cosim.scenario.record import ComparedAspect
 from cosim.scenario.recordings.swap_comparison import compare_swaps
 from cosim.scenario.recordings.swap_report import SwapReport, row_texts
@@ -402,25 +399,14 @@ def test_units_that_convert_leave_no_warning_but_that_of_the_unit(milli):
     assert worst <= 1e3 * 8 * 2.3e-16 * abs(metres["plant.y"]).max()
 
 
-@pytest.mark.slow
-def test_poles_of_an_fmu_that_cannot_be_linearized_are_unknown(folder, tmp_path):
-    """Start values must be numbers; for co-simulation the FMU is loaded once more."""
-    once = (
-        'canBeInstantiatedOnlyOncePerProcess="false"',
-        'canBeInstantiatedOnlyOncePerProcess="true"',
+def test_an_fmu_that_there_may_be_once_is_linearized(folder, tmp_path):
+    """For model exchange it is the one that runs."""
+    once = 'canBeInstantiatedOnlyOncePerProcess="{}"'
+    rewritten(
+        folder / "plant.fmu", tmp_path / "once.fmu", (once.format("false"), once.format("true"))
     )
-    rewritten(folder / "plant.fmu", tmp_path / "once.fmu", once)
     assert verdicts(report(tmp_path, "once.fmu#cs"), "ok")["", "poles"] == "ok"
     assert verdicts(report(tmp_path, "once.fmu"), "ok")["", "poles"] == "ok"
-    export_component("academic", "plant", tmp_path / "arrays.fmu", fmi="3")
-    arrays = {"x_a": [1.0, -1.0]}
-    kind = FmuKind(kind="fmu", path="arrays.fmu", start=arrays)
-    scenario = parse(replace(find("academic"), folder=tmp_path))
-    with ExitStack() as resources:
-        context = BuildContext(scenario, resources)
-        kind.build("plant", context)
-        with pytest.raises(UsageError, match=r"arrays\.fmu: only numbers .* start values"):
-            kind.linear_system("plant", context)
 
 
 PAIR = """
