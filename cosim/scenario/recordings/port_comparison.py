@@ -37,7 +37,7 @@ _ROUNDING: Final = (
     1e-6  # smaller numbers are compared as if they were it: what rounding leaves of 0
 )
 
-_Elements: TypeAlias = Sequence[float] | Vector | None  # None: unknown
+_PortElements: TypeAlias = Sequence[float] | Vector | None  # None: unknown
 
 
 class Entry(NamedTuple):
@@ -348,7 +348,7 @@ def _numbers(aspect: str, old: ComparedPort, new: ComparedPort) -> ComparedAspec
     return ComparedAspect("", aspect, before, new.values(aspect), verdict, ratio=ratio)
 
 
-def _ratio(before: _Elements, converted: _Elements) -> float | None:
+def _ratio(before: _PortElements, converted: _PortElements) -> float | None:
     """Return the ratio of the largest numbers; None: one of them is zero, or not known."""
     if before is None or converted is None:
         return None
@@ -396,7 +396,7 @@ def _in_unit_of(old: ComparedPort, new: ComparedPort, aspect: str) -> Vector | N
 
 
 def _same_values(
-    old: _Elements, new: _Elements, error: float = _SAME, *, least: float = 1.0
+    old: _PortElements, new: _PortElements, error: float = _SAME, *, least: float = 1.0
 ) -> PortVerdict:
     """Compare numbers relative to the largest, but at least to ``least``."""
     if old is None or new is None:

@@ -134,48 +134,35 @@ filter = { kind = "lag", time_constant = 0.1 }
 "own.u" = "plant.y"
 "filter.u" = "own.y"
 """
-KEYS = ["nothing.x", "filter.zzz", "plant.zzz", "own.zzz", "scenario.zzz", "plant.start.zzz", "x"]
+KEYS = ["nothing.x", "filter.zzz", "plant.start.zzz", "own.zzz", "scenario.zzz"]
 WRONG = [
     *[["--set", f"{key}=1"] for key in KEYS],
-    *[["--set", text] for text in ("filter.time_constant='a'", "filter.time_constant=[1", "=1")],
-    *[["--set", text] for text in ("scenario.step=0", "scenario.stop=-1", "scenario.step=0.007")],
-    *[["--swap", text] for text in ("x=bait.mcap", "filter=missing.fmu", "plant", "u=code.toml")],
-    *[["--swap", text] for text in ("own=code.toml", "own=", "own=bait.mcap#own", "plant=a.fmu#z")],
-    *[["--map", text] for text in ("plant.y=z", "plant", "x.y=z")],
+    *[["--set", text] for text in ("filter.time_constant='a'", "=1", "scenario.step=0.007")],
+    *[["--swap", text] for text in ("x=bait.mcap", "filter=missing.fmu", "own=bait.mcap#own")],
+    ["--map", "plant.y=z"],
     ["--stop", "x"],
-    ["--zzz"],
 ]
-METRICS = ["m=last(filter.y)", "m=last(nothing.y)", "m=last(", "last(filter.y)"]
+METRICS = ["m=last(filter.y)", "m=last(nothing.y)", "m=last("]
 
 
 def commands_on(log):
-    """Return every command with a log from elsewhere, rightly and with each wrong argument."""
+    """Return every command with a log from elsewhere, rightly and with wrong arguments."""
     replay = ["replay", log]
+    study = ["study", log, "--dry-run", "--metric", METRICS[0]]
+    tune = ["tune", log, "--members", "2", "--minimize", "last(filter.y)"]
     commands = [[*replay, *more] for more in ([], ["--verify"], ["--rerun"], *WRONG)]
-    commands += [[*replay, "--vary", f"{key}=1,2"] for key in KEYS]
-    commands += [[*replay, "--component", name] for name in ("own", "plant", "zzz")]
-    study = ["study", log, "--dry-run"]
-    tune = ["tune", log, "--members", "2"]
-    for key in (*KEYS, "filter.time_constant"):
-        commands += [[*study, "--vary", f"{key}=1,2", "--metric", text] for text in METRICS]
-        commands.append([*tune, "--vary", f"{key}=1:2", "--minimize", "last(filter.y)"])
-    varied = ["--vary", "filter.time_constant=1:2"]
-    commands += [[*tune, *varied, "--minimize", text] for text in METRICS[1:]]
-    for more in WRONG:
-        commands.append(
-            [*study, "--vary", "filter.time_constant=1,2", "--metric", METRICS[0], *more]
-        )
-        commands.append([*tune, *varied, "--minimize", "last(filter.y)", *more])
+    commands += [[*replay, "--component", name] for name in ("own", "plant")]
+    for key in (KEYS[2], "filter.time_constant"):
+        commands.append([*replay, "--vary", f"{key}=1,2"])
+        commands += [[*study, "--vary", f"{key}=1,2", *more] for more in ([], *WRONG[-3:])]
+        commands += [[*tune, "--vary", f"{key}=1:2", *more] for more in ([], *WRONG[-3:])]
     of_a_scenario = [["run"], ["compare"], ["design"], ["info"], ["check"], ["show"]]
     of_a_scenario += [["export", "--component", "filter"], ["linearize"], ["identify"]]
-    commands += [[*words, log] for words in of_a_scenario]
-    commands += [[*words, log, *more] for words in of_a_scenario for more in WRONG[:6:5]]
+    commands += [[*words, log, *more] for words in of_a_scenario for more in ([], WRONG[0])]
     commands += [[name, log] for name in ("hash", "cat", "metrics", "recover", "cut", "merge")]
     commands += [["metrics", log, text] for text in METRICS]
-    commands += [["cat", log, "--signals", name] for name in ("filter.*", "zzz.*")]
-    commands += [["diff", log, log, *more] for more in ([], ["zzz.y"], ["--tol", "x"])]
-    commands.append(["convert", log, "out.csv", "--force"])
-    return [[*command] for command in commands]
+    commands += [["diff", log, log], ["convert", log, "out.csv", "--force"]]
+    return commands
 
 
 @pytest.mark.slow

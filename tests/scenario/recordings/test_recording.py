@@ -1,42 +1,76 @@
-"""What a run that ends early says of its log."""
+"""A run that signals end: what its log holds, and who hears the signals behind it."""
 
-from signal import SIGINT, raise_signal
+import signal
 
 import pytest
 
 import cosim
 from cosim.errors import Interrupted
+from cosim.interrupts import REASONS
+from cosim.scenario.recordings.recording import interruptible
 
 SETTINGS = {"scenario.stop": 0.02}
 
 
-def interrupted(path, act):
-    """Return the notes on a run that an interrupt ends after its first block, and an action."""
+@pytest.fixture(params=REASONS, ids=lambda number: signal.Signals(number).name)
+def heard(request):
+    """Listen to one of the signals; return its number and what was heard."""
+    received = []
+    before = signal.signal(request.param, lambda number, frame: received.append(number))
+    yield request.param, received
+    signal.signal(request.param, before)
+
+
+def run(number, presses):
+    """Run a block in which a signal comes once or several times."""
+    with interruptible() as check:
+        check()
+        for _ in range(presses):
+            signal.raise_signal(number)
+        check()
+
+
+def test_a_program_hears_its_signals_again_behind_a_run(heard):
+    """Not the first one within, which ends the run: the check says so after the block."""
+    number, received = heard
+    handler = signal.getsignal(number)
+    with pytest.raises(Interrupted, match=REASONS[number]) as raised:
+        run(number, 1)
+    assert raised.value.exit_code == 128 + number
+    assert received == []
+    assert signal.getsignal(number) is handler
+    with pytest.raises(KeyboardInterrupt, match=REASONS[number]):
+        run(number, 3)  # a second one does what it did before, and ends the run at once
+    assert received == [number]
+
+
+def test_what_is_ignored_stays_ignored():
+    """As in a program that nohup started."""
+    before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    try:
+        run(signal.SIGTERM, 1)
+        assert signal.getsignal(signal.SIGTERM) == signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@pytest.mark.parametrize("act", ["nothing", "remove", "replace"])
+def test_the_error_says_how_far_the_log_goes(tmp_path, act):
+    """The last step is that of the last block; nothing of a log that is not at its path."""
+    path = tmp_path / "a.mcap"
 
     def progress(time, end):
-        act()
-        raise_signal(SIGINT)
+        if act != "nothing":
+            path.unlink()
+        if act == "replace":
+            path.write_bytes(b"of another run")
+        signal.raise_signal(signal.SIGINT)
 
     with pytest.raises(Interrupted) as raised:
         cosim.run("academic", out=path, set=SETTINGS, progress=progress, block=10)
-    return getattr(raised.value, "__notes__", [])
-
-
-def test_the_error_says_how_far_the_log_goes(tmp_path):
-    """The last step is that of the last block."""
-    path = tmp_path / "a.mcap"
-    assert interrupted(path, lambda: None) == [f"{path} holds the run up to t = 0.01 s"]
-    assert cosim.open_log(path).end_ns == 10_000_000
-
-
-@pytest.mark.parametrize("replaced", [False, True])
-def test_the_error_says_nothing_of_a_log_that_is_not_at_its_path(tmp_path, replaced):
-    """It was removed meanwhile, or another one is there now."""
-    path = tmp_path / "a.mcap"
-
-    def displace():
-        path.unlink()
-        if replaced:
-            path.write_bytes(b"of another run")
-
-    assert interrupted(path, displace) == []
+    notes = getattr(raised.value, "__notes__", [])
+    if act == "nothing":
+        assert notes == [f"{path} holds the run up to t = 0.01 s"]
+        assert cosim.open_log(path).end_ns == 10_000_000
+    else:
+        assert notes == []

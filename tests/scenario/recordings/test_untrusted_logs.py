@@ -3,6 +3,7 @@
 import copy
 import json
 import math
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ def valid(tmp_path_factory):
 
 
 def read_everything(path, valid):
-    """Call every reader of logs; return the types of the errors that came."""
+    """Call every reader of logs: it returns, or raises a CosimError."""
     readers = [
         lambda: print_json(describe_log(str(path))),
         lambda: open_log(path).load(),
@@ -44,13 +45,9 @@ def read_everything(path, valid):
         lambda: cosim.run("academic", swap={"plant": path}, set=SHORT),
         lambda: cosim.replay(path, set={"observer.filter_rate": 10.0, "models.academic.n_a": 2}),
     ]
-    errors = []
     for reader in readers:
-        try:
+        with suppress(CosimError):
             reader()
-        except CosimError as error:
-            errors.append(type(error))
-    return errors
 
 
 def paths_in(value, path=()):
@@ -191,14 +188,6 @@ def mutate_scenario(draw, content):
 @given(data=st.data())
 def test_a_changed_log_is_read_or_refused(valid, tmp_path_factory, data):
     """One change of its content, checksums right: no reader fails in another way."""
-    read_mutated(valid, tmp_path_factory, data)
-
-
-@pytest.mark.slow
-@settings(max_examples=12, derandomize=True, suppress_health_check=list(HealthCheck))
-@given(data=st.data())
-def test_many_changed_logs_are_read_or_refused(valid, tmp_path_factory, data):
-    """The same, more often."""
     read_mutated(valid, tmp_path_factory, data)
 
 
