@@ -17,7 +17,6 @@ from pathlib import Path
 import pytest
 
 import cosim
-from cosim.cli import main
 from cosim.log import open_log
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.eventful import build
@@ -343,52 +342,16 @@ def test_no_temporary_folder_is_left(start, tmp_path, end):
     assert set(os.listdir(tmp_path)) == expected
 
 
-LIMITED = """
-import resource
-resource.setrlimit(resource.RLIMIT_FSIZE, (1_500_000, 1_500_000))
-from cosim.cli import main
-main()
-"""
-
-
-@pytest.mark.slow
-def test_a_file_that_may_not_grow_ends_the_run_with_a_whole_log(start, tmp_path):
-    """As on a full disk: exit 1, and the message says up to where the log goes."""
-    path = tmp_path / "a.mcap"
-    process = start("run", *LONG, "--out", path, code=LIMITED)
-    out, err = process.communicate(timeout=60)
-    assert (process.returncode, out) == (1, "")
-    message = (
-        f"cosim: {path} cannot be written further: File too large; the log is valid up to t = "
-    )
-    assert err.startswith(message)
-    log = cosim.open_log(path)
-    assert err == f"{message}{log.end_ns / 1e9} s\n"
-    assert (log.status, log.content_hash()) == ("failed", log.recorded_hash)
-    assert path.stat().st_size <= 1_500_000
-    assert sorted(os.listdir(tmp_path)) == ["a.mcap", "temporary"]
-    assert os.listdir(tmp_path / "temporary") == []
-
-
 # --- places that cannot be written ---
 
 
 @pytest.fixture
-def call(tmp_path, monkeypatch, capsys):
-    """Call the command line in an empty folder; a run would be an error of the test."""
-    monkeypatch.chdir(tmp_path)
+def places(tmp_path):
+    """Make what no file can be written to."""
     (tmp_path / "file").touch()
-    (tmp_path / "folder.mcap").mkdir()
-    (tmp_path / "folder.png").mkdir()
-    (tmp_path / "folder.fmu").mkdir()
+    for name in ("folder.mcap", "folder.png", "folder.fmu"):
+        (tmp_path / name).mkdir()
     os.mkfifo(tmp_path / "pipe.png")
-
-    def call(*arguments):
-        with pytest.raises(SystemExit) as ended:
-            main(list(arguments))
-        return ended.value.code, capsys.readouterr().err
-
-    return call
 
 
 PLACES = [
@@ -409,6 +372,7 @@ COMMANDS = [
 ]
 
 
+@pytest.mark.usefixtures("places")
 @pytest.mark.parametrize(("ending", "command"), COMMANDS, ids=lambda value: "-".join(value[:1]))
 def test_a_place_that_cannot_be_written_is_refused_before_the_run(
     call, tmp_path, monkeypatch, ending, command
@@ -420,13 +384,14 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_run(
     monkeypatch.setattr("cosim.scenario.exporting.export", None)
     before = set(os.listdir(tmp_path))
     for place, named in PLACES:
-        code, err = call(*command, place.format(ending))
+        code, _, err = call(*command, place.format(ending))
         assert code == 2, (place, err)
         assert named.format(ending) in err
         assert "cannot be" in err or "is a folder" in err
     assert set(os.listdir(tmp_path)) == before
 
 
+@pytest.mark.usefixtures("places")
 def test_a_picture_cannot_replace_a_log_or_go_to_a_pipe(call, tmp_path, monkeypatch):
     """Two outputs need two paths; a pipe may have no other end."""
     monkeypatch.setattr("cosim.scenario.recordings.recording.run_into", None)
@@ -437,10 +402,11 @@ def test_a_picture_cannot_replace_a_log_or_go_to_a_pipe(call, tmp_path, monkeypa
         (("--out", "a.log"), "expected a path that ends in .mcap"),
         (("--out", "folder.mcap"), "is a folder; name a file"),
     ]:
-        code, err = call("run", "academic", *arguments)
+        code, _, err = call("run", "academic", *arguments)
         assert (code, text in err) == (2, True), err
 
 
+@pytest.mark.usefixtures("places")
 def test_a_comparison_is_refused_before_its_first_run(call, tmp_path, monkeypatch):
     """Where the log of any of its plants exists, or its folder takes none."""
     cosim.run("academic", out="a.mcap", set={"scenario.stop": 0.01})
@@ -448,14 +414,14 @@ def test_a_comparison_is_refused_before_its_first_run(call, tmp_path, monkeypatc
     (tmp_path / "logs" / "a.mcap").touch()
     monkeypatch.setattr("cosim.scenario.recordings.recording.run_into", None)
     command = ("compare", "academic", "--swap", "plant=a.mcap", "--out")
-    code, err = call(*command, "logs")
+    code, _, err = call(*command, "logs")
     assert (code, "logs/a.mcap exists" in err) == (2, True), err
     for folder in ("/proc", "/proc/x"):
-        code, err = call(*command, folder)
+        code, _, err = call(*command, folder)
         assert (code, "cannot be created" in err) == (2, True), err
-    code, err = call(*command, "file")
+    code, _, err = call(*command, "file")
     assert (code, "expected a folder for the logs, got 'file'" in err) == (2, True), err
-    code, err = call(*command, "x.png", "--plot", "x.png")
+    code, _, err = call(*command, "x.png", "--plot", "x.png")
     assert (code, "is the path of the log" in err) == (2, True), err
     assert os.listdir(tmp_path / "logs") == ["a.mcap"]
 
