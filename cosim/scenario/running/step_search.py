@@ -323,5 +323,11 @@ def _dividing_steps(step_ns: int, steps: int) -> list[int]:
     """
     duration = step_ns * steps
     most = max(MOST_FINER * steps, MOST_STEPS // QUARTERS)
-    counts = [count for count in range(FEWEST, most + 1) if not duration % count]
-    return [duration // count for count in counts if not duration // count % QUARTERS]
+    counts = {a * b for a in _divisors(step_ns) for b in _divisors(steps)}
+    dividing = [duration // count for count in counts if FEWEST <= count <= most]
+    return sorted((own for own in dividing if not own % QUARTERS), reverse=True)
+
+
+def _divisors(number: int) -> list[int]:
+    small = [factor for factor in range(1, math.isqrt(number) + 1) if not number % factor]
+    return [*small, *(number // factor for factor in small)]
