@@ -29,7 +29,7 @@ class Rule:
     needs: str = ""
 
 
-OF_A_LOG: Final = Rule("flush sync rotate", "applies to a log", needs="out")
+OF_A_LOG: Final = Rule("flush sync rotate embed", "applies to a log", needs="out")
 STEP_IS_CHOSEN: Final = Rule("find_step", "chooses the step itself", excludes="step")
 OF_A_RECORDER: Final = Rule(
     "recorder", "takes the run in place of a log", excludes="out embed notice"

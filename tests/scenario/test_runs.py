@@ -270,6 +270,8 @@ def test_numbered_logs_count_up(tmp_path):
 
 def test_options_of_a_log_are_refused_where_none_is_written(recorded, subtests):
     """It would be ignored."""
+    with pytest.raises(UsageError, match="embed=True applies to a log; expected out"):
+        cosim.run("academic", embed=True)
     for option in ["force", "numbered"]:
         with subtests.test(option=option):
             message = f"{option}=True applies to a log; expected out"
@@ -283,6 +285,12 @@ def test_options_of_a_log_are_refused_where_none_is_written(recorded, subtests):
                     cosim.replay(recorded, **settings)
                 with pytest.raises(UsageError, match=message):
                     cosim.compare("academic", swap={"plant": [recorded]}, **settings)
+
+
+def test_a_view_that_shows_nothing_is_refused():
+    """What shows a run is a server, not the number of its port."""
+    with pytest.raises(UsageError, match=r"live: expected a cosim\.live\.LiveServer, got 8765"):
+        cosim.run("academic", live=8765)
 
 
 def test_a_log_carries_what_it_takes_to_check_it(logged):

@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.arrays import Matrix
 from cosim.core.port import Port
-from cosim.errors import UsageError, option
+from cosim.errors import UsageError, option, quoted
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.kinds.control import SensorKind
 from cosim.scenario.kinds.identification import IdentifierKind
@@ -63,11 +63,15 @@ def noise_of(
     }
     for source, values in stated.items():
         if values is not None:
-            deviations = np.atleast_1d(np.asarray(values, np.float64))
-            usable = (deviations > 0.0) & (deviations < math.inf)
-            if deviations.ndim != 1 or not usable.all():
+            try:
+                deviations = np.atleast_1d(np.asarray(values, np.float64))
+                usable = (deviations > 0.0) & (deviations < math.inf)
+                is_row = deviations.ndim == 1 and bool(usable.all())
+            except (TypeError, ValueError):
+                is_row = False
+            if not is_row:
                 raise UsageError(
-                    f"noise: expected positive finite standard deviations, got {values}"
+                    f"{source}: expected positive finite standard deviations, got {quoted(values)}"
                 )
             return deviations, source
     return _noise_of_sensor(scenario, observer)

@@ -25,7 +25,7 @@ from cosim.core.recorded.signals import warning_texts
 from cosim.core.recorders import Memory, Nothing
 from cosim.core.recording import Recorder
 from cosim.core.simulation import Simulation
-from cosim.errors import warn
+from cosim.errors import UsageError, option, quoted, warn
 from cosim.log import Log
 from cosim.log.mcap_file.rotation import read_rotation
 from cosim.log.writing.background import FLUSH_INTERVAL
@@ -295,6 +295,8 @@ def run(
     check_rules((OF_A_RECORDER, OF_A_LOG, STEP_IS_CHOSEN), locals())
     if recorder is not None:
         check_recorder(recorder)
+    if live is not None and not hasattr(live, "beside"):
+        raise UsageError(f"{option('live')}: expected a cosim.live.LiveServer, got {quoted(live)}")
     check_target(out, force=force, numbered=numbered)
     interval = FLUSH_INTERVAL if flush is None else positive_argument("flush", flush)
     rotation = None if rotate is None else read_rotation(rotate)

@@ -153,6 +153,7 @@ OTHER_TERMS = {"regressor.delays": [1.0, 2.0], "regressor.terms": [{"family": "e
     [
         ("academic", FAST, {}, "the noise of y is unknown; .*deviation.* noise"),
         ("academic", FAST, {"noise": -1.0}, "noise: expected positive finite .*got -1.0"),
+        ("academic", FAST, {"noise": "x"}, "noise: expected positive finite .*got 'x'"),
         ("academic", FAST, {"noise": [1e-3, 1e-3]}, "noise: expected one number, or .*, got 2"),
         ("academic-noisy", FAST, {"theta": [0.1]}, r"theta: expected 2 finite .*, got \[0.1\]"),
         ("academic-noisy", FAST, {"longest": 0.0}, "longest: expected .*, got 0 s"),
