@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, TypeAlias
@@ -22,10 +23,10 @@ import numpy as np
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Block
 from cosim.core.graph import Graph
+from cosim.core.port import Port
 from cosim.errors import AssumptionError, RunError, UsageError
 from cosim.native.estimation.alphas import Alpha, AlphaSignal, signals_among
 from cosim.native.numerics.programs import evaluate_at
-from cosim.scenario.kinds.feedback import inputs_in_feedback
 from cosim.scenario.record import IdentifierVerdicts, IrregularEffect, IrregularPart
 from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
@@ -565,3 +566,26 @@ def residual_noise(t: Vector, residual: Vector) -> tuple[str, float, float]:
     problem = "" if found.consistency.passed else found.consistency.contradiction
     power = largest_power(found.noise.a[0])
     return problem.replace(" in y[0]", ""), power, found.noise.freedom
+
+
+def inputs_in_feedback(graph: Graph, observer: str) -> Mask:
+    """Return which elements of an observer's u depend on what drives its y, shape (n_u,)."""
+    u = graph.layout[observer].interface.input_columns().get("u", slice(0, 0))
+    in_feedback = np.zeros(u.stop - u.start, np.bool_)
+    drives: defaultdict[str, set[str]] = defaultdict(set)
+    front: set[str] = set()
+    for to, connection in graph.connections.items():
+        sources = {source.component for source in connection.sources}
+        if (to.component, to.signal) == (observer, "y"):
+            front |= sources
+        for source in sources:
+            drives[source].add(to.component)
+    dependent: set[str] = set()
+    while front:
+        front = set().union(*(drives[name] for name in front)) - dependent
+        dependent |= front
+    for to, connection in graph.connections.items():
+        follows_y = any(source.component in dependent for source in connection.sources)
+        if follows_y and (to.component, to.signal) == (observer, "u"):
+            in_feedback[graph.ports.input(Port(observer, "u", to.element)).elements] = True
+    return in_feedback

@@ -6,7 +6,7 @@ import pytest
 
 import cosim
 from cosim.scenario.building.build import Builder
-from cosim.scenario.kinds.feedback import inputs_in_feedback
+from cosim.scenario.kinds.identified_plant import inputs_in_feedback
 from cosim.scenario.running.execution import load
 from cosim.scenario.running.identifying import identifier_record
 
