@@ -16,7 +16,7 @@ import sys
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 
@@ -31,15 +31,16 @@ from cosim.scenario.record import IdentifierVerdicts, IrregularEffect, Irregular
 from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
 from cosim.theory.assessment.assessing import assess
-from cosim.theory.assessment.noise_color import largest_power
 from cosim.theory.assessment.undetected import undetected_errors
 from cosim.theory.assessment.verdicts import Assessment, judge
-from cosim.theory.bounded.feasible_program import Watch
-from cosim.theory.bounded.irregular_part import GuaranteedInterval, Programs, guaranteed_interval
 from cosim.theory.covariance import is_covariance
 from cosim.theory.disturbances.families import Family, Polynomial
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
 from cosim.theory.estimators.output_error import OutputErrorProblem
+
+if TYPE_CHECKING:
+    from cosim.theory.bounded.feasible_program import Watch
+    from cosim.theory.bounded.irregular_part import GuaranteedInterval, Programs
 
 # (lower, upper) of each theta, or of some by their index
 ThetaBounds: TypeAlias = Sequence[Sequence[float]] | Mapping[int, tuple[float, float]]
@@ -435,6 +436,8 @@ def verdicts_of(assessment: Assessment) -> IdentifierVerdicts:
 
 def _irregular(assessment: Assessment, bound: float) -> IrregularPart:
     """Return what an irregular part within its bound leaves open, or why that is not known."""
+    from cosim.theory.bounded.irregular_part import Programs  # rarely needed
+
     try:
         interval = interval_of(assessment, bound, Programs.BEYOND_FIRST_ORDER)
     except (AssumptionError, RunError) as error:
@@ -491,6 +494,8 @@ def interval_of(
         If not every theta was estimated, samples are missing or at unequal distances, or the plant
         is unstable.
     """
+    from cosim.theory.bounded.irregular_part import guaranteed_interval  # rarely needed
+
     problem = assessment.problem
     estimated = assessment.fit.estimated
     if not estimated.all():
@@ -552,6 +557,8 @@ def residual_noise(t: Vector, residual: Vector) -> tuple[str, float, float]:
         If there are hardly any.
     """
     samples = len(residual)
+    from cosim.theory.assessment.noise_color import largest_power  # rarely needed
+
     data = DataSet(t, residual[:, np.newaxis], np.zeros((samples, 0)), np.zeros((samples, 1)))
     nothing = np.zeros((0, 0))
     plant = DisturbedPlant(
