@@ -27,7 +27,7 @@ from inspect import Parameter, Signature
 from keyword import iskeyword
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Annotated, Any, Final, NamedTuple, TypeAlias, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, TypeAlias, get_origin
 
 import typer
 from typer.core import TyperCommand, TyperOption
@@ -36,6 +36,9 @@ from cosim import completion
 from cosim.errors import UsageError, nearest, option, quoted
 from cosim.files import expanded
 from cosim.options import Rule, check_rules
+
+if TYPE_CHECKING:
+    from cosim.report.tables.console import Shown
 
 OptionTable: TypeAlias = Mapping[str, str]
 
@@ -275,6 +278,12 @@ class Given(SimpleNamespace):
     def only(self, names: str) -> dict[str, Any]:
         """Return some of them, to be handed on."""
         return {name: getattr(self, name) for name in names.split()}
+
+    def print_shown(self, shown: Shown) -> None:
+        """Print what ``--json`` asks for, or the lines and tables behind it."""
+        from cosim.report.tables.console import print_shown
+
+        print_shown(shown, as_json=self.json)
 
 
 CommandBody: TypeAlias = Callable[[Given], bool | None]

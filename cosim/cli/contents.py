@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 import typer
 
 from cosim.cli.command import Given, command
-from cosim.cli.options import check_plot, print_text, shared
-from cosim.errors import UsageError
+from cosim.cli.options import check_plot, shared
+from cosim.errors import LogError, UsageError
 from cosim.files import file_type
 from cosim.options import Rule
-from cosim.report.printable import printable
+from cosim.report.printable import print_text, printable
+
+if TYPE_CHECKING:
+    from cosim.report.tables.console import Shown
 
 
 @command(
@@ -28,23 +33,67 @@ def info(given: Given) -> None:
 
     Runs no code of FMUs or user classes.
     """
+    from cosim.report.schedule import plot_schedule, schedule_of, show_schedule
+
     if not given.graph:
-        from cosim.report.tables.contents import print_contents
-
-        print_contents(given.source, as_json=given.json)
+        content = _describe(given.source)
+        given.print_shown(_show_contents(content))
+        if "problems" in content:
+            raise LogError("\n".join(content["problems"]))
         return
-    from cosim.report.schedule import plot_schedule, print_schedule, schedule_of
-
     type_name = file_type(given.source)
     if type_name in ("log", "FMU", "table"):
         raise UsageError(f"--graph {given.source}: expected a scenario, got a {type_name}")
     check_plot(given.out)
     schedule = schedule_of(given.source)
-    print_schedule(schedule, as_json=given.json)
+    given.print_shown(show_schedule(schedule))
     if given.out is not None:
         plot_schedule(schedule, given.out)
         if not given.json:
             print_text(given.out)
+
+
+def _describe(source: str) -> dict[str, Any]:
+    """Return what a log, an FMU, a table of samples or a scenario contains, by titles."""
+    from cosim.arguments import path_argument
+    from cosim.log.foreign.topics import is_foreign
+    from cosim.report import inspection
+    from cosim.report.fmu import describe_fmu
+
+    path = path_argument("source", source)
+    if path.is_dir():
+        raise UsageError(
+            f"{source}: expected a log (.mcap), an FMU (.fmu), samples (.csv, .xlsx, ...) or a "
+            "scenario, got a folder"
+        )
+    match file_type(path):
+        case "log" if is_foreign(path):
+            return inspection.describe_recording(source)
+        case "log":
+            return inspection.describe_log(source)
+        case "FMU":
+            return describe_fmu(source)
+        case "table":
+            return inspection.describe_samples(source)
+    return inspection.describe_scenario(source)
+
+
+def _show_contents(content: dict[str, Any]) -> Shown:
+    """Show it; differences between swapped and replaced components by component."""
+    from cosim.report.fmu import fmu_sections
+    from cosim.report.tables.console import section_tables
+    from cosim.scenario.recordings.swap_report import row_texts
+
+    yield content
+    sections = []
+    for title, section in fmu_sections(content) if "fmu" in content else content.items():
+        if title == "differences":
+            for component, rows in section.items():
+                texts = [row_texts(row, whole=row["port"] == component) for row in rows]
+                sections.append((f"{component}: differences from the replaced component", texts))
+        elif title != "problems":  # printed as an error
+            sections.append((title, section))
+    yield section_tables(sections)
 
 
 @command(
@@ -58,12 +107,10 @@ def list_(given: Given) -> None:
 
     Each kind is listed with its parameters; KIND explains those of one.
     """
-    from cosim.report.tables.catalog import print_catalog, print_kind
+    from cosim.report.tables.catalog import show_catalog, show_kind
 
-    if given.kind is None:
-        print_catalog(as_json=given.json)
-    else:
-        print_kind(given.kind, as_json=given.json)
+    shown = show_catalog() if given.kind is None else show_kind(given.kind)
+    given.print_shown(shown)
 
 
 @command(shared("scenario"))

@@ -6,10 +6,10 @@ import typer
 
 import cosim
 from cosim.cli.command import Given, command
-from cosim.cli.options import print_notice, print_text, prints_to_stderr, run_in_child, shared
+from cosim.cli.options import prints_to_stderr, run_in_child, shared
 from cosim.errors import UsageError
 from cosim.options import Rule
-from cosim.report.printable import printable
+from cosim.report.printable import print_notice, print_text, printable
 
 
 @command(
@@ -35,17 +35,17 @@ def check(given: Given) -> bool:
         if given.strict:
             raise UsageError("--strict is for FMUs; omit it")
         run_in_child(given.arguments)
-        from cosim.report.tables.preparation import print_assumptions
+        from cosim.report.tables.preparation import show_assumptions
 
         with prints_to_stderr():
             report = cosim.check_assumptions(str(given.subject), set=given.set)
-        print_assumptions(report, as_json=given.json)
+        given.print_shown(show_assumptions(report))
         return not report.fulfilled
     from cosim.fmi.checking.check import check as check_fmu
-    from cosim.report.fmu import print_check
+    from cosim.report.fmu import show_check
 
     findings = check_fmu(fmu_argument(given.subject), start=given.set)
-    print_check(str(given.subject), findings, as_json=given.json)
+    given.print_shown(show_check(str(given.subject), findings))
     refused = ("error", "warning") if given.strict else ("error",)
     return any(finding.level in refused for finding in findings)
 
@@ -59,9 +59,9 @@ def cache(given: Given) -> None:
     The cache is in the user's cache folder, or in the folder named by the environment variable
     COSIM_CACHE (empty: no cache).
     """
-    from cosim.report.fmu import print_cache
+    from cosim.report.fmu import show_cache
 
-    print_cache(clear=given.clear, as_json=given.json)
+    given.print_shown(show_cache(clear=given.clear))
 
 
 @command(
@@ -135,7 +135,7 @@ def linearize(given: Given) -> None:
     """
     from cosim.fmi.linearizing.linearize import linearize_file
     from cosim.fmi.linearizing.request import LinearizationRequest
-    from cosim.report.fmu import print_linearization
+    from cosim.report.fmu import show_linearization
     from cosim.scenario.kinds.linearizing import model_toml
 
     request = LinearizationRequest(
@@ -147,7 +147,7 @@ def linearize(given: Given) -> None:
     )
     linearization = linearize_file(given.fmu, request)
     if not given.toml:
-        print_linearization(linearization, as_json=given.json)
+        given.print_shown(show_linearization(linearization))
         return
     for note in linearization.notes:
         print_notice(f"note: {note}")

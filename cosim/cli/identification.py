@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import cosim
 from cosim.cli.command import Given, command
-from cosim.cli.options import check_plot, print_notice, prints_to_stderr, shared
+from cosim.cli.options import check_plot, prints_to_stderr, shared
 from cosim.errors import UsageError
+from cosim.report.printable import print_notice
 from cosim.terminal import show_count
 
 
@@ -31,7 +32,7 @@ def identify(given: Given) -> bool:
     The method of the recorded runs does not matter. Shows standard errors, 95 % intervals, a
     verdict on every parameter and tests of the residual.
     """
-    from cosim.report.tables.identification import print_identification, report_identification
+    from cosim.report.tables.identification import report_identification, show_identification
     from cosim.scenario.document.document import parse_value
     from cosim.scenario.kinds.identified_plant import bounds_of
     from cosim.scenario.running.identifying import identifier_record, identify_records
@@ -58,7 +59,7 @@ def identify(given: Given) -> bool:
         from cosim.report.plots.identification import plot_identification
 
         plot_identification(identification, given.plot)
-    print_identification(report, as_json=given.json)
+    given.print_shown(show_identification(report))
     return report.failed
 
 
@@ -81,8 +82,8 @@ def design(given: Given) -> None:
     Ranks delays, filters, steps and windows relative to the Cramer-Rao bound of y, which the
     output-error method attains.
     """
-    from cosim.report.tables.preparation import print_design
+    from cosim.report.tables.preparation import show_design
 
     with prints_to_stderr():
         result = cosim.design(given.scenario, **given.only("noise theta longest input set"))
-    print_design(result, as_json=given.json)
+    given.print_shown(show_design(result))

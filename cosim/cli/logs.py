@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import re
 import sys
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import cosim
 from cosim.cli.command import Given, command
-from cosim.cli.options import check_plot, live_server, print_notice, print_text, shared
+from cosim.cli.options import check_plot, live_server, shared
 from cosim.errors import CosimError, UsageError
 from cosim.files import file_type
-from cosim.report.printable import printable
+from cosim.report.printable import print_notice, print_text, printable
 from cosim.terminal import ended_by_interrupt
-
-if TYPE_CHECKING:
-    from cosim.log import Log
 
 # NAME=EXPRESSION; an expression may have == and >= in it
 _NAMED: Final = re.compile(r"\s*([^()<>=!'\",]*[^()<>=!'\",\s])\s*=(?!=)(.*)", re.DOTALL)
@@ -74,7 +71,7 @@ def metrics(given: Given) -> None:
     The values are bit for bit those of a study with this run.
     """
     from cosim.log.editing.joining import open_joined
-    from cosim.report.tables.console import print_json, print_section
+    from cosim.report.tables.console import section_tables
     from cosim.studies.metrics import missing_rows, parse_metrics
 
     texts = {} if given.of is None else _metrics_of(given.of, str(given.log))
@@ -95,11 +92,8 @@ def metrics(given: Given) -> None:
     lacking = missing_rows(parsed, opened)
     if lacking:
         print_notice(f"{lacking}; metrics of the whole run, as in a study, may differ")
-    if given.json:
-        print_json(values)
-        return
     shown = {name: "no value" if value is None else repr(value) for name, value in values.items()}
-    print_section("", shown)
+    given.print_shown(iter([values, section_tables([("", shown)])]))
 
 
 def _metrics_of(place: str, log: str) -> dict[str, str]:
@@ -214,13 +208,13 @@ def diff(given: Given) -> bool:
 
     Exit 1 if a signal is outside the tolerance.
     """
-    from cosim.report.tables.comparison import print_difference
+    from cosim.report.tables.comparison import show_difference
 
     check_plot(given.plot)
     logs = cosim.open_log(given.a), cosim.open_log(given.b)
     signals = given.signals or ()
     difference = cosim.diff(*logs, signals=signals, **given.only("atol rtol tol"))
-    print_difference(difference, as_json=given.json)
+    given.print_shown(show_difference(difference))
     if given.plot is not None and difference.worst is None:
         print_notice(f"{given.plot}: not drawn, as the largest difference of two values is 0")
     elif given.plot is not None:
@@ -304,12 +298,13 @@ def cut(given: Given) -> None:
     The new log is marked as partial; 'cosim merge' joins such parts.
     """
     from cosim.log.editing.cutting import cut as cut_log
+    from cosim.report.tables.logs import ended
 
     span = (given.from_, given.to)
     if span == (None, None):
         raise UsageError("expected --from, --to or both")
     names = ("--from", "--to")
-    _print_log(cut_log(given.log, *span, given.out, names=names, force=given.force))
+    print_text(ended(cut_log(given.log, *span, given.out, names=names, force=given.force)))
 
 
 @command(
@@ -324,8 +319,9 @@ def merge(given: Given) -> None:
     Logs of other runs, overlaps and gaps are refused.
     """
     from cosim.log.editing.merging import merge as merge_logs
+    from cosim.report.tables.logs import ended
 
-    _print_log(merge_logs(given.logs, given.out, force=given.force))
+    print_text(ended(merge_logs(given.logs, given.out, force=given.force)))
 
 
 @command({"log BROKEN : Path": "A damaged or truncated log.", **shared("new-log force json")})
@@ -335,12 +331,7 @@ def recover(given: Given) -> None:
     Keeps every chunk whose CRC matches, also after the damage, and shows which rows are lost.
     """
     from cosim.log.editing.recovering import recover as recover_log
-    from cosim.report.tables.logs import print_recovery
+    from cosim.report.tables.logs import show_recovery
 
-    print_recovery(recover_log(given.log, given.out, force=given.force), as_json=given.json)
-
-
-def _print_log(log: Log) -> None:
-    """Print where a log is, and how far it goes."""
-    reason = f", {log.reason}" if log.reason else ""
-    print_text(f"{log.path}: {log.status}{reason}")
+    recovery = recover_log(given.log, given.out, force=given.force)
+    given.print_shown(show_recovery(recovery))

@@ -14,7 +14,7 @@ import typer
 from cosim.cli.command import Given, OptionTable
 from cosim.errors import RunError, UsageError, option
 from cosim.files import file_type
-from cosim.report.printable import printable
+from cosim.report.printable import print_notice
 from cosim.unanswered import limit_calls
 
 if TYPE_CHECKING:
@@ -95,16 +95,6 @@ def shared(names: str) -> dict[str, str]:
     for name in names.split():
         table |= SHARED[name]
     return table
-
-
-def print_notice(text: str) -> None:
-    """Print a message, to stderr."""
-    typer.echo(printable(text), err=True)
-
-
-def print_text(text: object) -> None:
-    """Print a line of data, to stdout."""
-    typer.echo(printable(str(text)))
 
 
 @contextmanager

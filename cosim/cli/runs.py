@@ -15,7 +15,6 @@ from cosim.cli.options import (
     check_verdicts,
     has_failed,
     live_server,
-    print_notice,
     prints_to_stderr,
     read_assertions,
     run_in_child,
@@ -23,6 +22,7 @@ from cosim.cli.options import (
 )
 from cosim.errors import UsageError, option
 from cosim.options import STEP_IS_CHOSEN, Rule
+from cosim.report.printable import print_notice
 from cosim.terminal import show_progress
 
 if TYPE_CHECKING:
@@ -132,12 +132,12 @@ def run(given: Given) -> bool:
         scenario = load(given.scenario).edit(**given.only("set swap map"))
     start_collecting()
     if given.dry_run:
-        from cosim.report.tables.preparation import print_dry_run
+        from cosim.report.tables.preparation import show_dry_run
         from cosim.scenario.recordings.swap_comparison import dry_run
 
         with prints_to_stderr():
             reports = dry_run(scenario)
-        print_dry_run(reports, as_json=given.json)
+        given.print_shown(show_dry_run(reports))
         if reports.refusals:
             raise UsageError("\n".join([*reports.refusals, *reports.hints]))
         return False
@@ -260,7 +260,7 @@ def compare(given: Given) -> bool:
     recorded data. Exit 1 if one of them fails.
     """
     from cosim.report.comparing import EstimatorComparison
-    from cosim.report.tables.comparison import print_estimators, print_plants
+    from cosim.report.tables.comparison import show_estimators, show_plants
 
     methods = [name.strip() for name in ",".join(given.estimators or ()).split(",")]
     several = [component for component, paths in given.swap.items() if len(paths) > 1]
@@ -294,7 +294,7 @@ def compare(given: Given) -> bool:
 
         plot_comparison(comparison, given.plot)
     if isinstance(comparison, EstimatorComparison):
-        print_estimators(comparison, as_json=given.json)
+        given.print_shown(show_estimators(comparison))
         return any(result.failure for result in comparison.results)
-    print_plants(comparison, as_json=given.json)
+    given.print_shown(show_plants(comparison))
     return any(outcome.error for outcome in comparison.outcomes)

@@ -17,14 +17,13 @@ from cosim.cli.options import (
     BAD_VERDICTS,
     check_verdicts,
     has_failed,
-    print_notice,
-    print_text,
     prints_to_stderr,
     read_assertions,
     shared,
 )
 from cosim.errors import DatasetError, UsageError, listing, option, quoted
 from cosim.options import Rule
+from cosim.report.printable import print_notice, print_text
 from cosim.terminal import ShownMembers, show_members
 
 if TYPE_CHECKING:
@@ -162,7 +161,7 @@ def run(given: Given) -> bool:
     """
     from cosim.studies import studying
     from cosim.studies.plan import plan_study
-    from cosim.studies.show import ShownParts, print_estimate
+    from cosim.studies.show import ShownParts, show_estimate
     from cosim.studies.study_file import StudyOptions, read_study
 
     _check_out(given.out)
@@ -183,7 +182,7 @@ def run(given: Given) -> bool:
                 print_notice(text)
             studying.check_place(plan, None if given.new else place)
             estimate = studying.estimate_study(plan, studying.worker_count(given.workers))
-        print_estimate(file.name, estimate, as_json=given.json)
+        given.print_shown(show_estimate(file.name, estimate))
         return False
     with _resumable(place, given) as progress:
         done = cosim.study(
@@ -195,7 +194,7 @@ def run(given: Given) -> bool:
             **given.only("workers scheduler new"),
         )
     if not given.quiet:
-        _show(place, ShownParts(as_json=given.json))
+        _show(place, given, ShownParts())
     is_asked = given.fail_on or assertions is not None
     failures = _failures(done, given.fail_on, assertions) if is_asked else ()
     return has_failed(failures) or bool(done.failures)
@@ -286,21 +285,22 @@ def show(given: Given) -> None:
         given.member,
         tuple(given.metric or ()),
         tuple(given.pass_ or ()),
-        as_json=given.json,
         **given.only("by sobol worst"),
     )
-    for text in _show(given.place, parts):
+    for text in _show(given.place, given, parts):
         print_notice(f"warning: {text}")
 
 
-def _show(place: str, parts: ShownParts) -> tuple[str, ...]:
+def _show(place: str, given: Given, parts: ShownParts) -> tuple[str, ...]:
     """Show parts of a study; return what was not known of it when it was planned."""
     from cosim.studies.plan import RecordedStudy
     from cosim.studies.show import show_study
 
     opened = cosim.open_study(place)
     recorded = RecordedStudy.read(opened.text)
-    show_study(opened, recorded.layout, recorded.command_of(opened), parts, search=recorded.search)
+    command_of = recorded.command_of(opened)
+    shown = show_study(opened, recorded.layout, command_of, parts, search=recorded.search)
+    given.print_shown(shown)
     return recorded.warnings
 
 
@@ -313,7 +313,7 @@ def verify(given: Given) -> bool:
     if the scenario, FMUs, tables or metrics have changed (SHA-256). Exit 1 if a metric, the status
     or the steps of a member differ.
     """
-    from cosim.studies.show import print_verification
+    from cosim.studies.show import show_verification
     from cosim.studies.studying import worker_count
     from cosim.studies.verifying import verify_study
 
@@ -326,7 +326,7 @@ def verify(given: Given) -> bool:
             progress=progress,
         )
     if not given.quiet:
-        print_verification(found, as_json=given.json)
+        given.print_shown(show_verification(found))
     return bool(found.differences)
 
 

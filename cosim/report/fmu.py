@@ -9,13 +9,7 @@ from itertools import chain, zip_longest
 from typing import TYPE_CHECKING, Any
 
 from cosim.errors import listing
-from cosim.report.tables.console import (
-    new_table,
-    print_json,
-    print_line,
-    print_sections,
-    print_table,
-)
+from cosim.report.tables.console import Shown, new_table
 from cosim.units import BASE
 
 if TYPE_CHECKING:
@@ -74,8 +68,8 @@ def _plain_variable(variable: Variable) -> Row:
     return row
 
 
-def print_fmu(content: Row) -> None:
-    """Print what :func:`describe_fmu` returns, one line for each variable.
+def fmu_sections(content: Row) -> Iterable[tuple[str, Any]]:
+    """Return what :func:`describe_fmu` returns by titles, one line for each variable.
 
     What an FMU does not have gets no line.
     """
@@ -106,7 +100,7 @@ def print_fmu(content: Row) -> None:
         "initial dependencies": {name: _names(initial[name]) for name in in_order},
         "residual form": dict(_residual_form_rows(content["residual_form"])),
     }
-    print_sections(sections.items())
+    return sections.items()
 
 
 def _words(key: str) -> str:
@@ -187,65 +181,57 @@ def _start(variable: Row) -> str | None:
     return f"approx {text}" if variable["initial"] == "approx" else text
 
 
-def print_check(path: str, findings: Sequence[Finding], *, as_json: bool) -> None:
-    """Print all problems that were found of an FMU."""
+def show_check(path: str, findings: Sequence[Finding]) -> Shown:
+    """Show all problems that were found of an FMU."""
     levels = [finding.level for finding in findings]
     numbers = {"error": levels.count("error"), "warning": levels.count("warning")}
-    if as_json:
-        counts = {f"{level}s": number for level, number in numbers.items()}
-        rows = [finding._asdict() for finding in findings]
-        print_json({"path": path, **counts, "findings": rows})
-        return
+    counts = {f"{level}s": number for level, number in numbers.items()}
+    yield {"path": path, **counts, "findings": [finding._asdict() for finding in findings]}
     for finding in findings:
-        print_line(f"{finding.level}: {finding.where}: {finding.text}")
+        yield f"{finding.level}: {finding.where}: {finding.text}"
     texts = [f"{n} {level}{'s' if n > 1 else ''}" for level, n in numbers.items() if n]
-    print_line(f"{path}: {', '.join(texts) or 'no problems found'}")
+    yield f"{path}: {', '.join(texts) or 'no problems found'}"
 
 
-def print_cache(*, clear: bool, as_json: bool) -> None:
-    """Print where results of trials and compiled files are kept; remove them where ``clear``."""
+def show_cache(*, clear: bool) -> Shown:
+    """Show where results of trials and compiled files are kept; remove them where ``clear``."""
     from cosim.fmi import cache
 
     folder = cache.cache_folder()
     removed = cache.clear() if clear else 0
     n_trials = len(list(cache.cached_files(cache.TRIALS)))
     sizes = [status.st_size for _, status in cache.cached_files()]
-    content = {
+    yield {
         "folder": None if folder is None else str(folder),
         "files": len(sizes),
         "bytes": sum(sizes),
         "removed": removed,
     }
-    if as_json:
-        print_json(content)
-    elif folder is None:
-        print_line("no cache: COSIM_CACHE is empty")
+    if folder is None:
+        yield "no cache: COSIM_CACHE is empty"
     elif clear:
-        print_line(f"{folder}: {removed} removed")
+        yield f"{folder}: {removed} removed"
     else:
         counts = f"{n_trials} trial results, {len(sizes) - n_trials} compiled files"
-        print_line(f"{folder}: {counts}, {sum(sizes)} bytes")
+        yield f"{folder}: {counts}, {sum(sizes)} bytes"
 
 
-def print_linearization(linearization: Linearization, *, as_json: bool) -> None:
-    """Print a linearization: operating point, matrices, poles, static gain, origin."""
+def show_linearization(one: Linearization) -> Shown:
+    """Show a linearization: operating point, matrices, poles, static gain, origin."""
     from cosim.fmi.linearizing.linearization import pole_text
 
-    one = linearization
     gain = one.static_gain
     poles = one.poles.tolist()
-    if as_json:
-        content = one.to_dict()
-        content["poles"] = [[pole.real, pole.imag] for pole in poles]
-        content["static_gain"] = None if gain is None else gain.tolist()
-        print_json(content)
-        return
+    content = one.to_dict()
+    content["poles"] = [[pole.real, pole.imag] for pole in poles]
+    content["static_gain"] = None if gain is None else gain.tolist()
+    yield content
     names = (*one.states, *one.inputs, *one.outputs)
     values = [f"{value:.6g}" for value in (*one.x, *one.u, *one.y)]
     slopes = [f"{slope:.6g}" for slope in one.dx]
     point = zip_longest(names, values, slopes, fillvalue="")
     title = f"{one.name} at t = {one.t:g} s"
-    print_table(new_table(title, ("", "value", "derivative"), point))
+    yield new_table(title, ("", "value", "derivative"), point)
     derivatives = [f"der({name})" for name in one.states]
     matrices = [
         ("A", one.A, derivatives, one.states),
@@ -261,9 +247,9 @@ def print_linearization(linearization: Linearization, *, as_json: bool) -> None:
         cells = [[f"{value:.6g}" for value in values] for values in matrix.tolist()]
         lines = [[row, *texts] for row, texts in zip(rows, cells, strict=True)]
         if matrix.size:
-            print_table(new_table(title, ("", *columns), lines))
+            yield new_table(title, ("", *columns), lines)
     about = [("poles", ", ".join(map(pole_text, poles)) or "none")]
     about += [("static gain", "none, as A is singular")] if gain is None else []
     about.append(("method", ", ".join(dict.fromkeys(one.made.values()))))
     about += [("note", note) for note in one.notes]
-    print_table(new_table("", ("", ""), about))
+    yield new_table("", ("", ""), about)

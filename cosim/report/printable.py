@@ -1,9 +1,11 @@
-"""Texts from logs and FMUs as a terminal may show them."""
+"""Texts from logs and FMUs as a terminal may show them, and how they are printed."""
 
 from __future__ import annotations
 
 import unicodedata
 from typing import Final
+
+import typer
 
 _KEPT: Final = frozenset("\n\t")
 _HARMFUL: Final = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})  # categories of Unicode
@@ -24,6 +26,16 @@ def printable(text: str) -> str:
 def printable_line(text: str) -> str:
     """Return a text as :func:`printable` does, in one line and without tabs."""
     return " ".join(printable(text).split("\n")).replace("\t", " ")
+
+
+def print_text(text: object) -> None:
+    """Print a line of data, to stdout."""
+    typer.echo(printable(str(text)))
+
+
+def print_notice(text: str) -> None:
+    """Print a message, to stderr."""
+    typer.echo(printable(text), err=True)
 
 
 def _shown(character: str) -> str:

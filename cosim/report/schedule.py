@@ -14,7 +14,7 @@ from cosim.core.stages.coupling import Stage
 from cosim.errors import UsageError, command
 from cosim.instants import step_seconds
 from cosim.report.plots.picture import LARGEST, Picture, PictureOptions
-from cosim.report.tables.console import new_table, print_json, print_tables
+from cosim.report.tables.console import Shown, new_table
 from cosim.scenario.building.build import describe
 from cosim.scenario.document.document import find
 from cosim.scenario.kinds.base import PeriodicKind
@@ -259,11 +259,9 @@ def _connection(
 # --- as tables ---
 
 
-def print_schedule(schedule: GraphSchedule, *, as_json: bool) -> None:
-    """Print stages, components and connections."""
-    if as_json:
-        print_json(asdict(schedule))
-        return
+def show_schedule(schedule: GraphSchedule) -> Shown:
+    """Show stages, components and connections."""
+    yield asdict(schedule)
     title = f"{schedule.scenario}: stages in order, communication step {schedule.step:g} s"
     stages = [(str(one.number), ", ".join(one.members), _way(one)) for one in schedule.stages]
     components = [
@@ -272,12 +270,11 @@ def print_schedule(schedule: GraphSchedule, *, as_json: bool) -> None:
     ]
     connections = [(one.source, one.to, COURSES[one.course][0]) for one in schedule.connections]
     headings = ("", "stage", "kind", "outputs change", "direct feedthrough")
-    tables = [
+    yield [
         new_table(title, ("", "components", "advance"), stages),
         new_table("components", headings, components),
         new_table("connections", ("from", "to", "within a step"), connections),
     ]
-    print_tables(tables)
 
 
 def _way(stage: ScheduledStage) -> str:

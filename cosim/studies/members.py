@@ -201,7 +201,7 @@ class OpenedSubject:
         if member.recording is None:
             scenario = self._scenario.edit(swap=swaps, map=subject.map, set=values)
             reports = self._compared(tuple(swaps.items())) if scenario.file.swap else None
-            return build_experiment(scenario, resources, None, unpacked=self._fmus, reports=reports)
+            return build_experiment(scenario, resources, unpacked=self._fmus, reports=reports)
         is_own = not is_foreign(Path(member.recording))
         replays = replays_of(
             self._log(member.recording) if is_own else member.recording,

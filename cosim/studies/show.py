@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import numpy as np
 
 from cosim.errors import UsageError, listing, option, quoted, shortened
+from cosim.report.printable import print_notice
 from cosim.report.tables import console
+from cosim.report.tables.console import Shown
 from cosim.studies import sensitivity, statistics
 from cosim.studies.contracts import RECORDING
 from cosim.studies.layout import StudyLayout, StudyResults, count_text, results_of_study
@@ -24,7 +26,6 @@ if TYPE_CHECKING:
     from cosim.studies.verifying import StudyVerification
 
 CommandOf: TypeAlias = Callable[[int], str]
-Shown: TypeAlias = Iterator[Any]  # of a part first what JSON has; then lines and tables
 _LEAST: Final = statistics.LEAST_MEMBERS
 _MOST_REASONS: Final = 20  # that are shown; --json has all
 _METRIC_HEADS: Final = ("", "", "95 % interval")
@@ -53,7 +54,6 @@ class ShownParts:
     sobol : bool
     worst : int
         Members of each metric that are listed; of a search, the best.
-    as_json : bool
 
     Raises
     ------
@@ -67,7 +67,6 @@ class ShownParts:
     by: str = ""
     sobol: bool = False
     worst: int = 3
-    as_json: bool = False
 
     def __post_init__(self) -> None:
         if self.worst < 0:
@@ -91,36 +90,22 @@ def show_study(
     parts: ShownParts,
     *,
     search: Search | None = None,
-) -> None:
-    """Print parts of a study, or of a search, also while it runs."""
+) -> Shown:
+    """Show parts of a study, or of a search, also while it runs."""
     results = results_of_study(study, layout)
     for name in parts.metrics:
         results.columns.metric(name)
     if parts.member is not None:
-        shown = _member(study, results, parts.member, command_of(parts.member))
-    elif parts.sobol:
-        shown = _sobol(results, parts)
-    elif parts.by:
-        shown = _groups(results, parts)
-    elif parts.metrics:
-        shown = _metrics(results, parts)
-    elif search is not None and not parts.conditions:
-        shown = _search(results, search, command_of, parts)
-    else:
-        shown = _all(results, command_of, parts)
-    _print(shown, as_json=parts.as_json)
-
-
-def _print(shown: Shown, *, as_json: bool) -> None:
-    content = next(shown)
-    if as_json:
-        console.print_json(content)
-        return
-    for one in shown:
-        if isinstance(one, str):
-            console.print_line(one)
-        else:
-            console.print_table(one)
+        return _member(study, results, parts.member, command_of(parts.member))
+    if parts.sobol:
+        return _sobol(results, parts)
+    if parts.by:
+        return _groups(results, parts)
+    if parts.metrics:
+        return _metrics(results, parts)
+    if search is not None and not parts.conditions:
+        return _search(results, search, command_of, parts)
+    return _all(results, command_of, parts)
 
 
 def _table(title: str, heads: Sequence[str], rows: Iterable[Iterable[str]]) -> Shown:
@@ -376,7 +361,7 @@ def _sobol(results: StudyResults, parts: ShownParts) -> Shown:
     for indices in found:
         yield from _indices(indices, results.with_unit(indices.metric))
     for text in without:
-        console.print_line(text, error=True)
+        print_notice(text)
 
 
 def _indices(indices: sensitivity.SobolIndices, name: str) -> Shown:
@@ -475,12 +460,8 @@ def tuning_lines(result: TuningResult) -> list[str]:
     return [*lines, *result.statements, f"again: {result.command}"]
 
 
-def print_verification(found: StudyVerification, *, as_json: bool = False) -> None:
-    """Print what came of running members again, and what that does not show."""
-    _print(_verification(found), as_json=as_json)
-
-
-def _verification(found: StudyVerification) -> Shown:
+def show_verification(found: StudyVerification) -> Shown:
+    """Show what came of running members again, and what that does not show."""
     yield found.to_dict()
     count = len(found.members)
     numbers = listing([str(number) for number in found.members], 10)
@@ -506,12 +487,8 @@ def _verification(found: StudyVerification) -> Shown:
     yield f"not verified: {'; '.join(not_shown)}"
 
 
-def print_estimate(name: str, estimate: StudyEstimate, *, as_json: bool = False) -> None:
-    """Print what a study will take."""
-    _print(_estimate(name, estimate), as_json=as_json)
-
-
-def _estimate(name: str, estimate: StudyEstimate) -> Shown:
+def show_estimate(name: str, estimate: StudyEstimate) -> Shown:
+    """Show what a study will take."""
     yield {"name": name, **estimate.to_dict()}
     logs = estimate.log_bytes
     entries = {

@@ -71,8 +71,6 @@ FOR_OTHERS = (
     "cosim.scenario.kinds.compensators",
     "cosim.scenario.kinds.field_data",
     "cosim.scenario.recordings.swap_comparison",
-    "cosim.theory.assessment.noise_color",
-    "cosim.theory.bounded",
     "cosim.theory.compensation",
     "mcap.writer",
     "numpy.f2py",

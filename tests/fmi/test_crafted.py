@@ -12,7 +12,8 @@ import pytest
 
 from cosim.errors import CosimError
 from cosim.fmi.checking.check import check
-from cosim.report.fmu import describe_fmu, print_fmu
+from cosim.report.fmu import describe_fmu, fmu_sections
+from cosim.report.tables.console import print_tables, section_tables
 from tests.fmi.archives import Entry, write
 from tests.fmi.descriptions import CO_SIMULATION, FMI2, FMI3, fmi1
 
@@ -74,7 +75,7 @@ def test_crafted_descriptions(tmp_path, monkeypatch, count, capsys):
         xml = tostring(mutated(random))
         path = write(tmp_path / "x.fmu", [Entry("binaries/linux64/two.so", b"x")], xml=xml)
         with suppress(CosimError):
-            print_fmu(describe_fmu(str(path)))
+            print_tables(section_tables(fmu_sections(describe_fmu(str(path)))))
         assert check(path)
         capsys.readouterr()
 

@@ -10,7 +10,8 @@ from cosim.fmi.description import Description
 from cosim.fmi.driving.initialization import StartValues, check_start, resized
 from cosim.fmi.options import FmuOptions
 from cosim.fmi.variable import Variable
-from cosim.report.tables.preparation import print_dry_run
+from cosim.report.tables.console import print_shown
+from cosim.report.tables.preparation import show_dry_run
 from cosim.scenario.assumptions.report import check_assumptions
 from cosim.scenario.recordings.swap_comparison import compare_swaps
 from cosim.scenario.running.execution import load as load_scenario
@@ -289,7 +290,7 @@ plant = {{ kind = "fmu", path = "{path}", start = {{ k = 3.0, u = 1.0 }} }}
     assert text in warning[1]
     reports = compare_swaps(load_scenario(scenario))
     assert reports.of_run == (warning,)
-    print_dry_run(reports, as_json=False)
+    print_shown(show_dry_run(reports), as_json=False)
     out, err = capsys.readouterr()
     assert (out, err) == (
         "dry run: the scenario can run; warnings: 1\n",

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim.report.printable import printable, printable_line
+from cosim.report.printable import print_notice, print_text, printable, printable_line
 from cosim.report.tables import console
 
 ROWS = [
@@ -21,7 +21,7 @@ def printed(capsys, monkeypatch):
 
     def printed(width, title, content):
         monkeypatch.setattr(console, "terminal_width", lambda: width)
-        console.print_section(title, content)
+        console.print_tables(console.section_tables([(title, content)]))
         return capsys.readouterr().out
 
     return printed
@@ -59,8 +59,8 @@ ATTACK = "\x1b]0;title\x07\x1b[2J\u202eabc\x9b31m\x00\r\udcff\u2028"
 def test_a_terminal_obeys_no_foreign_text(printed, capsys, width):
     """Names, values and titles out of logs and FMUs are shown, not carried out."""
     texts = [printed(width, ATTACK, {ATTACK: ATTACK}), printed(width, "rows", [{ATTACK: ATTACK}])]
-    console.print_line(ATTACK)
-    console.print_line(ATTACK, error=True)
+    print_text(ATTACK)
+    print_notice(ATTACK)
     for text in (*texts, *capsys.readouterr()):
         assert r"\x1b]0;title\x07\x1b[2J\u202eabc\x9b31m\x00\r\udcff\u2028" in text
         assert not re.search(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u202e\ud800-\udfff]", text)

@@ -284,18 +284,6 @@ def test_a_band_is_drawn_where_it_holds(logs, tmp_path, monkeypatch, bounds, ver
     assert shown.count(f"no 95 % band: theta[0] is {verdict}") == (not band)
 
 
-@pytest.mark.slow
-def test_titles_are_those_of_what_is_drawn(logs, tmp_path, monkeypatch):
-    """Without a truth there is no gray line, and the half width takes the place of the error."""
-    pytest.importorskip("matplotlib")
-    monkeypatch.setattr("cosim.report.plots.runs.truth_of", lambda log: {})
-    identification.plot_identification(identified(logs["first"]), tmp_path / "a.svg")
-    text = (tmp_path / "a.svg").read_text("utf-8")
-    assert "gray: truth" not in text
-    assert "its error" not in text
-    assert text.count("half width of its 95 % band") == 2
-
-
 def test_the_band_of_theta_is_that_of_its_standard_error(logs):
     """The standard picture draws it around theta; other estimates have none."""
     log = cosim.open_log(logs["first"])

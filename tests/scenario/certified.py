@@ -30,16 +30,6 @@ class Jump:
         return (np.sin(t[1:]) + (t[1:] >= self.instant))[:, np.newaxis]
 
 
-class Bend(Jump):
-    """y = |t - instant|."""
-
-    def outputs(self, t, u):
-        return np.array([abs(t - self.instant)])
-
-    def advance(self, t, h, u):
-        return np.abs(t[1:] - self.instant)[:, np.newaxis]
-
-
 class Holder:
     """y is sin t at the last multiple of a time that it tells nobody of."""
 

@@ -13,6 +13,7 @@ import cosim
 from cosim.arrays import Matrix
 from cosim.core.contracts import Component
 from cosim.scenario.building.build import Builder
+from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.document import find
 from cosim.scenario.running.execution import load
 
@@ -26,6 +27,16 @@ COARSE = {
     "observer.filter_rate": 100.0,
     "identifier.start": 3.5,
     **ONLINE,
+}
+# of academic-noisy: two outputs, the second one a hundred times less noisy
+TWO_OUTPUTS = {
+    "scenario.step": H,
+    "scenario.stop": 20.0,
+    "models.academic.C": [[2.0, 0.0, 1.0], [1.0, 0.5, 0.0]],
+    "sensor.size": 2,
+    "sensor.noise": [0.1, 1e-3],
+    "observer.L": [[4.25, 1.0], [-5.0, 4.0]],  # poles at -4 and -5
+    "observer.filter_rate": 100.0,
 }
 SENSOR = """
 [components.sensor]
@@ -61,12 +72,13 @@ def identifier(scenario: str, settings: dict[str, Any]) -> Component:
     return graph.components["identifier"]
 
 
-def identifiers(scenario: str, settings: dict[str, Any]) -> Callable[[], Component]:
+def identifiers(scenario: str | Scenario, settings: dict[str, Any]) -> Callable[[], Component]:
     """Return what makes the identifier of a scenario, not prepared, beside the rest of it.
 
     A check of the contract takes some 60 of them.
     """
-    builder = Builder(load(scenario).set(settings), ExitStack())
+    loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
+    builder = Builder(loaded.set(settings), ExitStack())
     spec = builder.scenario.specs["identifier"]
     context = builder.context
     period = spec.period_steps("identifier", context.step_ns)

@@ -45,10 +45,10 @@ def test_a_log_says_what_the_run_said(logs):
     assert found.assessment.to_dict() == recorded
 
 
-@pytest.mark.slow
 def test_the_data_are_what_the_observer_took_in(logs):
     """At every communication point, with the known factors there."""
-    record = identifier_record(logs[0])
+    record = identifier_record(logs[0], "identifier")
+    assert record.identifier == "identifier"
     np.testing.assert_array_equal(record.data.y[:, 0], logs[0]["sensor.y"])
     np.testing.assert_array_equal(record.data.u[:, 0], logs[0]["u.y"])
     t = logs[0].time("sensor")
@@ -59,15 +59,21 @@ def test_the_data_are_what_the_observer_took_in(logs):
 
 @pytest.mark.slow
 def test_several_logs_are_one_fit(logs):
-    """Two of equal information halve the variance; amplitudes and x(0) are their own."""
-    one = identify_records([identifier_record(logs[0])])
-    both = identify_records([identifier_record(log) for log in logs[:2]])
-    ratio = both.assessment.fit.standard_error / one.assessment.fit.standard_error
+    """Two of equal information halve the variance; amplitudes and x(0) are their own.
+
+    They may be opened or paths, one or several.
+    """
+    one = cosim.identify(logs[0].path)
+    assert [record.log.label for record in one.records] == [logs[0].label]
+    assert len(one.smoothed().t) == len(one.records[0].data.t)
+    both = cosim.identify(logs[:2])
+    fit = both.assessment.fit
+    by_path = cosim.identify([str(log.path) for log in logs[:2]])
+    np.testing.assert_array_equal(by_path.assessment.fit.theta, fit.theta)
+    ratio = fit.standard_error / one.assessment.fit.standard_error
     np.testing.assert_allclose(ratio, np.sqrt(0.5), rtol=0.05)
-    x0 = np.array(both.assessment.fit.x0)
-    np.testing.assert_allclose(x0, [[1.0, -1.0], [0.0, 2.0]], atol=5e-3)
-    inside = np.abs(both.assessment.fit.theta - [-0.1, -0.3]) < both.assessment.half_width
-    assert inside.all()
+    np.testing.assert_allclose(np.array(fit.x0), [[1.0, -1.0], [0.0, 2.0]], atol=5e-3)
+    assert (np.abs(fit.theta - [-0.1, -0.3]) < both.assessment.half_width).all()
 
 
 def test_the_log_of_another_method_is_identified_by_output_error(logs):
@@ -106,55 +112,66 @@ def test_options_are_those_of_the_fit(logs):
     np.testing.assert_array_equal(listed.assessment.fit.theta, fixed.assessment.fit.theta)
 
 
-def test_bounds_that_are_none_are_refused(logs, subtests):
-    """As rows or by index, with the same messages as in a scenario."""
-    for bounds, text in [
+@pytest.mark.parametrize(
+    ("bounds", "text"),
+    [
         ([[-1, 0]], "expected [lower, upper] for each of the 2 parameters"),
         (3, "bounds: expected [lower, upper]"),
         ({2: (0.0, 1.0)}, "bounds: no theta[2]; there are 2 parameters"),
         ({0: 1.0}, "bounds of theta[0]: expected two numbers, [lower, upper]"),
         ({0: (1.0, 0.0)}, "bounds of theta[0]: expected lower <= upper"),
-    ]:
-        with subtests.test(bounds=bounds), pytest.raises(UsageError, match=re.escape(text)):
-            cosim.identify(logs[0], bounds=bounds)
+    ],
+)
+def test_bounds_that_are_none_are_refused(logs, bounds, text):
+    """As rows or by index, with the same messages as in a scenario."""
+    with pytest.raises(UsageError, match=re.escape(text)):
+        cosim.identify(logs[0], bounds=bounds)
 
 
 def test_anything_but_a_log_is_refused(logs):
-    """Alone, beside a log, and as the number of a log that the fit does not have."""
+    """Alone, beside a log, none at all, and as the number of a log that the fit does not have."""
     for given in (3, [logs[0], None]):
         with pytest.raises(UsageError, match=r"logs: expected a path.*got (3|None)"):
             cosim.identify(given)
+    with pytest.raises(UsageError, match="logs: expected at least one"):
+        cosim.identify([])
     found = cosim.identify(logs[0])
     for index in (1, -1):
         with pytest.raises(UsageError, match=f"index: expected 0 to 0.*got {index}"):
             found.smoothed(index)
 
 
-def test_logs_of_other_models_are_refused(logs, tmp_path):
-    """They would share a theta that is not one."""
-    changed = cosim.run(
-        "academic-noisy",
-        out=tmp_path / "a.mcap",
-        set={
-            **FAST,
-            "scenario.stop": 10.0,
-            "models.academic.A": [[0, 1, 1], [0, -3, 1], [1, 0, 1]],
-        },
-    )
-    records = [identifier_record(logs[0]), identifier_record(changed)]
+@pytest.fixture(scope="module")
+def other(tmp_path_factory):
+    """Return a short log of a plant with another A, without verdicts."""
+    settings = {**FAST, "scenario.stop": 10.0, "scenario.verdicts": False}
+    settings["models.academic.A"] = [[0, 1, 1], [0, -3, 1], [1, 0, 1]]
+    path = tmp_path_factory.mktemp("other") / "a.mcap"
+    return cosim.run("academic-noisy", out=path, set=settings)
+
+
+def test_logs_of_other_models_are_refused(logs, other):
+    """They would share a theta that is not one; nor do they validate."""
+    records = [identifier_record(log) for log in (logs[0], other)]
     with pytest.raises(UsageError, match=r"a\.mcap: the design models differ in A;"):
         identify_records(records)
+    found = identify_records(records[:1])
+    with pytest.raises(UsageError, match=r"a\.mcap: the design models differ in A;"):
+        found.validate(records[1])
+    with pytest.raises(UsageError, match="has the rows of"):
+        found.validate(records[0])
 
 
-def test_a_log_without_identifier_is_refused(tmp_path):
-    """The message says what is needed; a wrong name, what there is."""
+def test_an_identifier_that_is_not_there_is_refused(tmp_path, logs):
+    """Of a wrong name what there is; of none what is needed."""
+    with pytest.raises(UsageError, match="no identifier 'identifer' with a model of y; did you"):
+        identifier_record(logs[0], "identifer")
     file = tmp_path / "none.toml"
     file.write_text(
         '[scenario]\nname="a"\nstop=1.0\nstep=0.1\n[components]\na={kind="ramp",slope=1.0}\n'
     )
-    log = cosim.run(file, out=tmp_path / "a.mcap")
     with pytest.raises(UsageError, match="expected an identifier with a model of y, got none"):
-        identifier_record(log)
+        identifier_record(cosim.run(file))
 
 
 @pytest.mark.parametrize(
@@ -176,13 +193,6 @@ def test_a_partial_log_says_that_it_is_one(tmp_path, record, said):
         identifier_record(log)
 
 
-def test_an_identifier_is_chosen_by_its_name(logs):
-    """Of one that is not there, what there is."""
-    assert identifier_record(logs[0], "identifier").identifier == "identifier"
-    with pytest.raises(UsageError, match="no identifier 'identifer' with a model of y; did you"):
-        identifier_record(logs[0], "identifer")
-
-
 @pytest.mark.slow
 def test_a_run_in_memory_is_identified_like_its_log(tmp_path):
     """The same numbers, to the last bit; and its samples do not count twice either."""
@@ -197,19 +207,6 @@ def test_a_run_in_memory_is_identified_like_its_log(tmp_path):
     for other in (memory, log):
         with pytest.raises(UsageError, match="has the rows of the run"):
             identify_records([memory, other])
-
-
-@pytest.mark.slow
-def test_logs_are_identified_by_path_or_opened(logs):
-    """One or several, as their records; no log at all is refused."""
-    expected = identify_records([identifier_record(log) for log in logs[:2]]).assessment.fit.theta
-    for given in (logs[:2], [str(log.path) for log in logs[:2]]):
-        np.testing.assert_array_equal(cosim.identify(given).assessment.fit.theta, expected)
-    found = cosim.identify(logs[0].path)
-    assert [record.log.label for record in found.records] == [logs[0].label]
-    assert len(found.smoothed().t) == len(found.records[0].data.t)
-    with pytest.raises(UsageError, match="logs: expected at least one"):
-        cosim.identify([])
 
 
 @pytest.mark.slow

@@ -88,39 +88,14 @@ stop = 2.0
 step = 0.01
 coupling = "{coupling}"
 
-[components.reference]
-kind = "step"
-time = 0.5
-
-[components.noise]
-kind = "noise"
-deviation = 0.01
-seed = 7
-
-[components.plant]
-kind = "fmu"
-path = "{plant}"
-interface_type = "{interface_type}"
-
-[components.measured]
-kind = "sum"
-signs = [1.0, 1.0, -1.0]
-
-[components.line]
-kind = "delay"
-delay = 0.03
-
-[components.controller]
-kind = "controller"
-A = [[-2.0]]
-B = [[1.0]]
-C = [[1.5]]
-period = 0.05
-
-[components.bound]
-kind = "limit"
-lower = -0.4
-upper = 0.4
+[components]
+reference = {{ kind = "step", time = 0.5 }}
+noise = {{ kind = "noise", deviation = 0.01, seed = 7 }}
+plant = {{ kind = "fmu", path = "{plant}", interface_type = "{interface_type}" }}
+measured = {{ kind = "sum", signs = [1.0, 1.0, -1.0] }}
+line = {{ kind = "delay", delay = 0.03 }}
+controller = {{ kind = "controller", A = [[-2.0]], B = [[1.0]], C = [[1.5]], period = 0.05 }}
+bound = {{ kind = "limit", lower = -0.4, upper = 0.4 }}
 
 [connections]
 "plant.u" = "bound.y"

@@ -8,6 +8,7 @@ import pytest
 from scipy import stats
 
 from cosim.errors import UsageError, shell_language
+from cosim.report.tables.console import print_shown
 from cosim.studies.layout import StudyLayout
 from cosim.studies.show import ShownParts, show_study, text_with_half_width, tuning_lines
 from cosim.studies.statistics import ConfidenceInterval
@@ -24,10 +25,10 @@ RMS, SETTLING = (STUDY.table([name])[name].to_numpy() for name in ("rms", "settl
 def shown(capsys):
     """Return the cells of the lines that a study prints, or its JSON."""
 
-    def function(study, layout, **parts):
-        show_study(study, layout, command_of, ShownParts(**parts))
+    def function(study, layout, *, as_json=False, **parts):
+        print_shown(show_study(study, layout, command_of, ShownParts(**parts)), as_json=as_json)
         out = capsys.readouterr().out
-        if parts.get("as_json"):
+        if as_json:
             return json.loads(out)
         return [text.split("\t") for text in out.splitlines()]
 
@@ -170,7 +171,8 @@ def test_each_value_of_a_key_has_statistics(shown):
 def test_sobol_indices_are_printed(capsys):
     """The largest first, with what was left out; a metric without any says why."""
     study, results = saltelli()
-    show_study(study, results.layout, command_of, ShownParts(sobol=True))
+    parts = ShownParts(sobol=True)
+    print_shown(show_study(study, results.layout, command_of, parts), as_json=False)
     captured = capsys.readouterr()
     title, _, p, q, total, basis, omitted = [text.split("\t") for text in captured.out.splitlines()]
     assert title == ["Sobol indices of y"]
@@ -202,7 +204,7 @@ def test_what_is_not_there_or_does_not_go_together_is_an_error(capsys):
     study, results = tolerances(201)
     for parts, message in REFUSED:
         with shell_language(), pytest.raises(UsageError, match=message):
-            show_study(study, results.layout, command_of, ShownParts(**parts))
+            next(show_study(study, results.layout, command_of, ShownParts(**parts)))
     assert capsys.readouterr().out == ""
 
 

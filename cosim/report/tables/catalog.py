@@ -7,8 +7,10 @@ from collections.abc import Collection, Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, Final
 
+from rich.table import Table
+
 from cosim.errors import UsageError, nearest
-from cosim.report.tables.console import new_table, print_json, print_line, print_table
+from cosim.report.tables.console import Shown, new_table
 
 if TYPE_CHECKING:
     from cosim.scenario.kinds import Kind
@@ -23,8 +25,8 @@ _TITLES: Final = {
 }
 
 
-def print_catalog(*, as_json: bool) -> None:
-    """Print the shipped scenarios and the component kinds with their parameters."""
+def show_catalog() -> Shown:
+    """Show the shipped scenarios and the component kinds with their parameters."""
     from cosim.scenario.document.document import find, shipped
     from cosim.scenario.document.schema import ActionTable, ModelTable, RecordTable, Settings
     from cosim.scenario.kinds import KINDS
@@ -46,13 +48,11 @@ def print_catalog(*, as_json: bool) -> None:
         "kinds": {name: _plain(kind) for name, kind in KINDS.items()},
         "installed": installed,
     }
-    if as_json:
-        print_json(content)
-        return
+    yield content
     described = [(name, description or name) for name, description in scenarios.items()]
-    print_table(new_table("shipped scenarios", ("name", "description"), described))
+    yield new_table("shipped scenarios", ("name", "description"), described)
     for key, title in _TITLES.items():
-        _print_parameters(title, content[key])
+        yield _parameter_table(title, content[key])
     kinds = []
     for name, kind in content["kinds"].items():
         names = []
@@ -60,14 +60,14 @@ def print_catalog(*, as_json: bool) -> None:
             if "." not in key:
                 names.append(key if parameter["required"] else f"[{key}]")
         kinds.append((name, kind["ports"], ", ".join(names), kind["description"]))
-    print_table(new_table(KINDS_TITLE, ("kind", "ports", "parameters", "description"), kinds))
+    yield new_table(KINDS_TITLE, ("kind", "ports", "parameters", "description"), kinds)
     if installed:
         rows = [[value or "" for value in entry.values()] for entry in installed]
-        print_table(new_table(INSTALLED_TITLE, ("kind", "class", "package", ""), rows))
+        yield new_table(INSTALLED_TITLE, ("kind", "class", "package", ""), rows)
 
 
-def print_kind(name: str, *, as_json: bool) -> None:
-    """Print the ports of a component kind and its parameters, with defaults and meanings.
+def show_kind(name: str) -> Shown:
+    """Show the ports of a component kind and its parameters, with defaults and meanings.
 
     Of the kind of an installed package nothing is imported.
 
@@ -83,18 +83,17 @@ def print_kind(name: str, *, as_json: bool) -> None:
     if name not in names:
         raise UsageError(f"unknown kind {name!r}; {nearest(name, names)}")
     content = _plain(KINDS[name]) if name in KINDS else asdict(installed_class(name))
-    if as_json:
-        print_json(content)
-    elif name in KINDS:
-        print_line(f"{name}: {content['description']}")
-        print_line(f"ports: {content['ports']}")
+    yield content
+    if name in KINDS:
+        yield f"{name}: {content['description']}"
+        yield f"ports: {content['ports']}"
         if KINDS[name].tunable_elsewhere:
-            print_line(f"tunable: {KINDS[name].tunable_elsewhere}")
-        _print_parameters("", content["parameters"], content["tunable"])
+            yield f"tunable: {KINDS[name].tunable_elsewhere}"
+        yield _parameter_table("", content["parameters"], content["tunable"])
     else:
-        print_line(f"{name}: {content['class_name']}, of {content['distribution']}")
-        print_line("ports: those of the class")
-        print_line("parameters: those of its constructor; nothing is imported here")
+        yield f"{name}: {content['class_name']}, of {content['distribution']}"
+        yield "ports: those of the class"
+        yield "parameters: those of its constructor; nothing is imported here"
 
 
 def _plain(kind: type[Kind]) -> dict[str, Any]:
@@ -115,10 +114,10 @@ def _parameters(table: type[Any]) -> dict[str, Any]:
     return {entry.pop("name"): entry for entry in entries}
 
 
-def _print_parameters(
+def _parameter_table(
     title: str, parameters: Mapping[str, Any], tunable: Collection[str] = ()
-) -> None:
-    """Print keys with their defaults, what they mean, and which are tunable, where any is."""
+) -> Table:
+    """Return keys with their defaults, what they mean, and which are tunable, where any is."""
     headings = ["parameter", "default", "in a run", "meaning"]
     rows = []
     for name, parameter in parameters.items():
@@ -132,4 +131,4 @@ def _print_parameters(
     if not tunable:
         for cells in (headings, *rows):
             del cells[2]
-    print_table(new_table(title, headings, rows))
+    return new_table(title, headings, rows)

@@ -10,12 +10,8 @@ import numpy as np
 
 from cosim.core.recorded.signals import DistinctWarnings, warning_texts
 from cosim.errors import quoted
-from cosim.report.tables.console import (
-    new_table,
-    print_json,
-    print_line,
-    print_table,
-)
+from cosim.report.printable import print_notice
+from cosim.report.tables.console import Shown, new_table, print_json, print_table
 
 if TYPE_CHECKING:
     from cosim.log.comparison.difference import LogDifference
@@ -26,11 +22,9 @@ if TYPE_CHECKING:
 # --- logs ---
 
 
-def print_difference(difference: LogDifference, *, as_json: bool) -> None:
-    """Print how far two logs are apart."""
-    if as_json:
-        print_json(difference.to_dict())
-        return
+def show_difference(difference: LogDifference) -> Shown:
+    """Show how far two logs are apart."""
+    yield difference.to_dict()
     columns = ["signal", "", "tolerance", "max |a - b|", "max |a|", "ratio", "first outside"]
     rows = []
     for row in difference.rows:
@@ -43,19 +37,19 @@ def print_difference(difference: LogDifference, *, as_json: bool) -> None:
     if not difference.tol:  # of single signals
         for cells in (columns, *rows):
             del cells[2]
-    print_table(new_table("", columns, rows))
+    yield new_table("", columns, rows)
     for row in difference.rows:
         in_a, in_b, both = row.rows
         if row.status in ("equal", "within", "other times") and both < max(in_a, in_b):
-            print_line(
+            yield (
                 f"note: compared only where both logs have rows: {row.signal} at {both} instants "
                 f"({in_a} in a, {in_b} in b)"
             )
             break
     if any(difference.events.events):
-        print_line(_events_text(difference.events))
+        yield _events_text(difference.events)
     if any(row.largest > 0.0 and row.signal.endswith(".delta") for row in difference.rows):
-        print_line(
+        yield (
             "note: a reconstructed disturbance amplifies rounding errors of y by filter_rate; "
             "give it its own --tol"
         )
@@ -88,14 +82,12 @@ def _print_failures(failures: Iterable[tuple[str, str]]) -> None:
     """Print why some of several runs failed."""
     for name, text in failures:
         for line in text.splitlines():
-            print_line(f"{name}: failed: {line}", error=True)
+            print_notice(f"{name}: failed: {line}")
 
 
-def print_plants(comparison: Comparison, *, as_json: bool) -> None:
-    """Print what a scenario estimates on several plants, and how far from the first plant's."""
-    if as_json:
-        print_json(comparison.to_dict())
-        return
+def show_plants(comparison: Comparison) -> Shown:
+    """Show what a scenario estimates on several plants, and how far from the first plant's."""
+    yield comparison.to_dict()
     failures = [(one.label, one.error) for one in comparison.outcomes if one.error]
     rows = list(_plant_rows(comparison))
     order = list(dict.fromkeys(row[0] for row in rows))
@@ -104,15 +96,15 @@ def print_plants(comparison: Comparison, *, as_json: bool) -> None:
         rows.append(("", "", label, "failed", text.splitlines()[0], ""))
     first = next(iter(comparison.recordings), "")
     columns = ("estimate", "truth", "plant", "value", "error", f"from {first}")
-    print_table(new_table(f"{comparison.scenario}: {comparison.component}", columns, rows))
+    yield new_table(f"{comparison.scenario}: {comparison.component}", columns, rows)
     if not comparison.estimates:
-        print_line(
+        yield (
             "no estimates to compare: the scenario has no [truth]; --out keeps the logs, and "
             "'cosim diff' compares all their signals"
         )
     for label, recording in comparison.recordings.items():
         for text in warning_texts(recording.warnings):
-            print_line(f"warning: {label}: {text}", error=True)
+            print_notice(f"warning: {label}: {text}")
     _print_failures(failures)
 
 
@@ -138,11 +130,9 @@ def _plant_rows(comparison: Comparison) -> Iterator[tuple[str, ...]]:
             yield own.estimate, f"{own.truth:+g}", label, value, _number(own.error), distance
 
 
-def print_estimators(comparison: EstimatorComparison, *, as_json: bool) -> None:
-    """Print what several methods estimate from the same data."""
-    if as_json:
-        print_json(comparison.to_dict())
-        return
+def show_estimators(comparison: EstimatorComparison) -> Shown:
+    """Show what several methods estimate from the same data."""
+    yield comparison.to_dict()
     failures = [(one.method, one.failure) for one in comparison.results if one.failure]
     rows = []
     for result in comparison.results:
@@ -160,9 +150,9 @@ def print_estimators(comparison: EstimatorComparison, *, as_json: bool) -> None:
         rows.append([result.method, *texts])
     title = f"{comparison.scenario}: {comparison.component}"
     columns = ("method", "theta", "error", "time / rest", "verdict")
-    print_table(new_table(title, columns, rows))
-    print_line("±: half width of the 95 % interval, where there is one")
-    print_line("time / rest: computing time of the identifier over that of all other components")
+    yield new_table(title, columns, rows)
+    yield "±: half width of the 95 % interval, where there is one"
+    yield "time / rest: computing time of the identifier over that of all other components"
     _print_failures(failures)
 
 
@@ -192,7 +182,7 @@ def print_sweep(sweep: ReplaySweep, *, as_json: bool, quiet: bool) -> None:
         print_table(new_table(sweep.log, (*sweep.varied, *columns), rows))
         warnings = [one for row in sweep.rows if row.summary for one in row.summary.warnings]
         for text in warning_texts(DistinctWarnings(warnings)):
-            print_line(f"warning: {text}", error=True)
+            print_notice(f"warning: {text}")
     _print_failures((f"row {i}", row.problem) for i, row in enumerate(sweep.rows, start=1))
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from textwrap import TextWrapper
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import typer
 from rich.console import Console
@@ -15,12 +15,29 @@ from rich.measure import measure_renderables
 from rich.table import Table
 
 from cosim.processes import COMMAND_VARIABLE
-from cosim.report.printable import printable, printable_line
+from cosim.report.printable import print_text, printable, printable_line
 
 _WIDTH: Final = 80  # columns of a terminal that does not say
 _GAP: Final = 2  # blanks between columns
 _FOLDED: Final = 40  # characters of a word in the last column, such as a path, that may be broken
 _NO_NUMBERS: Final = {"NaN": "nan", "Infinity": "inf", "-Infinity": "-inf"}  # in JSON
+Shown: TypeAlias = Iterator[Any]  # first what JSON has; then lines, tables and lists of tables
+
+
+def print_shown(shown: Shown, *, as_json: bool) -> None:
+    """Print what JSON has, or the lines and tables behind it.
+
+    Between the tables of a list there is a blank line in a terminal.
+    """
+    content = next(shown)
+    if as_json:
+        print_json(content)
+        return
+    for one in shown:
+        if isinstance(one, str):
+            print_text(one)
+        else:
+            print_tables(one if isinstance(one, list) else [one])
 
 
 def new_table(title: str, columns: Sequence[str], rows: Iterable[Iterable[str]] = ()) -> Table:
@@ -103,11 +120,6 @@ def terminal_width() -> int | None:
     return os.get_terminal_size(sys.stdout.fileno()).columns or _WIDTH
 
 
-def print_line(text: str, *, error: bool = False) -> None:
-    """Print a text that may come from a log or an FMU to stdout, or to stderr."""
-    typer.echo(printable(text), err=error)
-
-
 def _column_widths(columns: Sequence[Sequence[str]], console: Console) -> list[int]:
     """Return the widths of columns that break no word; none: they do not fit side by side."""
     sizes = [measure_renderables(console, console.options, cells) for cells in columns]
@@ -123,13 +135,8 @@ def _column_widths(columns: Sequence[Sequence[str]], console: Console) -> list[i
     return widths
 
 
-def print_section(title: str, content: Any) -> None:
-    """Print rows, a list of mappings with the same keys, or one mapping; nothing if it is empty."""
-    print_sections([(title, content)])
-
-
-def print_sections(sections: Iterable[tuple[str, Any]]) -> None:
-    """Print several sections, each a title and its content, as :func:`print_section` does."""
+def section_tables(sections: Iterable[tuple[str, Any]]) -> list[Table]:
+    """Return a table for each title with rows: mappings with the same keys, or one mapping."""
     tables = []
     for title, content in sections:
         if not content:
@@ -141,7 +148,7 @@ def print_sections(sections: Iterable[tuple[str, Any]]) -> None:
             columns = list(content[0])
             rows = [[row.get(column) for column in columns] for row in content]
         tables.append(new_table(title, columns, [map(_cell, row) for row in rows]))
-    print_tables(tables)
+    return tables
 
 
 def _cell(value: Any) -> str:

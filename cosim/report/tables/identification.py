@@ -18,7 +18,7 @@ from cosim.report.estimators import (
     value_text,
     verdict_lines,
 )
-from cosim.report.tables.console import new_table, print_json, print_tables
+from cosim.report.tables.console import Shown, new_table
 from cosim.scenario.kinds.identified_plant import irregular_part, verdicts_of
 from cosim.scenario.record import IrregularPart
 from cosim.scenario.running.identifying import IdentifierRecord, LogIdentification
@@ -115,11 +115,9 @@ def report_identification(
     return IdentificationReport(identification, validations, part, perf_counter() - began)
 
 
-def print_identification(report: IdentificationReport, *, as_json: bool) -> None:
-    """Print what is said of logs."""
-    if as_json:
-        print_json(report.to_dict())
-        return
+def show_identification(report: IdentificationReport) -> Shown:
+    """Show what is said of logs."""
+    yield report.to_dict()
     found = report.identification
     several = len(found.records) > 1
     verdicts = [(one.name, one) for one in found.assessment.parameters]
@@ -146,7 +144,7 @@ def print_identification(report: IdentificationReport, *, as_json: bool) -> None
         ]
         tables.append(new_table(f"validation {record.log.label}", ("", ""), lines))
         tables.append(_test_table(_test_rows(test for test in validation.tests if test.degrees)))
-    print_tables(tables)
+    yield tables
 
 
 def _estimate_table(title: str, verdicts: Sequence[tuple[str, ParameterVerdict]]) -> Table:

@@ -12,7 +12,8 @@ from cosim.instants import NANOSECONDS
 from cosim.log import Log
 from cosim.log.contents.result import PARTIAL, PARTIAL_STATUS
 from cosim.log.mcap_file.rotation import part_paths
-from cosim.report.tables.console import new_table, print_json, print_line, print_table
+from cosim.report.printable import print_notice, print_text
+from cosim.report.tables.console import Shown, new_table, print_json, print_table
 from cosim.scenario.record import component_record
 
 if TYPE_CHECKING:
@@ -30,26 +31,24 @@ def print_verification(
         print_json(verification.to_dict())
     elif verification.passed and not quiet:
         for line in verification.lines:
-            print_line(f"{path}: {line}")
+            print_text(f"{path}: {line}")
     if verification.passed or as_json:
         return
     for problem in verification.problems:
-        print_line(f"{path}: {problem}", error=True)
+        print_notice(f"{path}: {problem}")
     if verification.difference.same_rows and not verification.contradictions:
         return
     for key, (recorded, current) in verification.environment.items():
-        print_line(f"note: {key} was {recorded}, is {current}", error=True)
+        print_notice(f"note: {key} was {recorded}, is {current}")
     for name in source.channels:
         bits = component_record(source, name).bits
         if bits is not None:
-            print_line(f"note: {name}: {bits}", error=True)
+            print_notice(f"note: {name}: {bits}")
 
 
-def print_recovery(recovery: RecoveredLog, *, as_json: bool) -> None:
-    """Print the rows of each component that are there, and the times of those that are lost."""
-    if as_json:
-        print_json(recovery.to_dict())
-        return
+def show_recovery(recovery: RecoveredLog) -> Shown:
+    """Show the rows of each component that are there, and the times of those that are lost."""
+    yield recovery.to_dict()
     table = []
     for name, rows in recovery.rows.items():
         shown = []
@@ -62,23 +61,28 @@ def print_recovery(recovery: RecoveredLog, *, as_json: bool) -> None:
             plural = "" if len(omitted) == 1 else "s"
             shown.append(f"{sum(omitted)} in {len(omitted)} more interval{plural}")
         table.append((name, str(rows.count), "; ".join(shown) or "0"))
-    print_table(new_table("", ("component", "rows", "lost"), table))
+    yield new_table("", ("component", "rows", "lost"), table)
     if not recovery.end_is_known:
         end = recovery.end_ns / NANOSECONDS
-        print_line(f"any rows after {end} s are lost, too: the file has no end")
+        yield f"any rows after {end} s are lost, too: the file has no end"
     if not recovery.has_all_messages:
-        print_line("messages, events or substeps are lost, too, or their number is unknown")
+        yield "messages, events or substeps are lost, too, or their number is unknown"
     if not recovery.has_scenario:
-        print_line("the scenario is lost: the log can be read, but not replayed")
+        yield "the scenario is lost: the log can be read, but not replayed"
     log = recovery.log
     whole_ns = recovery.whole_until_ns
     if log.status == PARTIAL_STATUS and whole_ns is not None and not log.begins_late:
         whole = whole_ns / NANOSECONDS
-        print_line(
+        yield (
             f"no row is lost up to {whole} s: with '--to {whole}', 'cosim cut' makes a log that "
             "can be replayed"
         )
-    print_line(f"{log.path}: {', '.join(filter(None, (log.status, log.reason)))}")
+    yield ended(log)
+
+
+def ended(log: Log) -> str:
+    """Return where a log is, and how its run ended."""
+    return f"{log.path}: {', '.join(filter(None, (log.status, log.reason)))}"
 
 
 def is_rotated(recording: object) -> TypeGuard[Log]:
@@ -114,7 +118,7 @@ def print_rotated(last: Log, *, wall: Mapping[str, float], as_json: bool, quiet:
         print_json({**content, "results": dict(last.results), "wall": dict(wall)})
     elif not quiet:
         for text in warning_texts(last.warnings):
-            print_line(f"warning: {text}", error=True)
+            print_notice(f"warning: {text}")
         rows = [
             ("status", ", ".join(filter(None, (content["status"], content["reason"])))),
             ("steps", f"{last.steps}, up to {content['end']} s"),
@@ -122,7 +126,7 @@ def print_rotated(last: Log, *, wall: Mapping[str, float], as_json: bool, quiet:
             *(("log", path) for path in content["logs"]),
         ]
         print_table(new_table("", ("", ""), rows))
-        print_line(
+        print_text(
             "each file has a part of the run; 'cosim merge' joins them, and 'cosim replay' of the "
             "last one replays the run"
         )

@@ -10,13 +10,8 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from cosim.report.estimators import numbers_text
-from cosim.report.tables.console import (
-    new_table,
-    print_json,
-    print_line,
-    print_section,
-    print_table,
-)
+from cosim.report.printable import print_notice
+from cosim.report.tables.console import Shown, new_table, section_tables
 
 if TYPE_CHECKING:
     from cosim.scenario.assumptions.report import AssumptionReport
@@ -32,45 +27,39 @@ _TITLES: Final = {"scenario": "as it is"}
 # --- swaps ---
 
 
-def print_dry_run(reports: SwapReports, *, as_json: bool) -> None:
-    """Print how swapped components compare with those that they replace."""
+def show_dry_run(reports: SwapReports) -> Shown:
+    """Show how swapped components compare with those that they replace."""
     warnings = [*reports.of_run, *reports.warnings]
-    if as_json:
-        print_json(
-            {
-                "swaps": {name: report.to_dict() for name, report in reports.reports.items()},
-                "problems": reports.refusals,
-                "imported": dict(reports.imported),
-                "warnings": [{"of": name, "text": text} for name, text in warnings],
-            }
-        )
-        return
+    yield {
+        "swaps": {name: report.to_dict() for name, report in reports.reports.items()},
+        "problems": reports.refusals,
+        "imported": dict(reports.imported),
+        "warnings": [{"of": name, "text": text} for name, text in warnings],
+    }
     for report in reports.reports.values():
-        print_section(report.component, report.lines)
+        yield section_tables([(report.component, report.lines)])
     for component, name in reports.imported.items():
-        print_line(f"{component}: {name} was imported")
+        yield f"{component}: {name} was imported"
     if reports.refusals:
         return
     for component, text in warnings:
-        print_line(f"warning: {component}: {text}", error=True)
+        print_notice(f"warning: {component}: {text}")
     found = "no problems found"
     if reports.different:
         found = f"the scenario can run; rows that differ: {reports.different}"
     elif warnings:
         found = f"the scenario can run; warnings: {len(warnings)}"
-    print_line(f"dry run: {found}")
+    yield f"dry run: {found}"
 
 
 # --- assumptions ---
 
 
-def print_assumptions(report: AssumptionReport, *, as_json: bool) -> None:
-    """Print every assumption with what decides it, and how one that fails can be met."""
-    if as_json:
-        print_json(report.to_dict())
-        return
+def show_assumptions(report: AssumptionReport) -> Shown:
+    """Show every assumption with what decides it, and how one that fails can be met."""
+    yield report.to_dict()
     for component, text in report.warnings:
-        print_line(f"warning: {component}: {text}", error=True)
+        print_notice(f"warning: {component}: {text}")
     rows = []
     for name, verdict in report.verdicts:
         answer = ": ".join(filter(None, (_WORDS[verdict.fulfilled], verdict.verdict)))
@@ -82,17 +71,15 @@ def print_assumptions(report: AssumptionReport, *, as_json: bool) -> None:
         counts += f", {number[False]} not"
     if number[None]:
         counts += f", {number[None]} not decided"
-    print_table(new_table(f"{report.scenario}: {counts}", ("", "", "", ""), rows))
+    yield new_table(f"{report.scenario}: {counts}", ("", "", "", ""), rows)
 
 
 # --- experiments ---
 
 
-def print_design(design: ExperimentDesign, *, as_json: bool) -> None:
-    """Print the best designs of every choice, or all of them as JSON."""
-    if as_json:
-        print_json(design.to_dict())
-        return
+def show_design(design: ExperimentDesign) -> Shown:
+    """Show the best designs of every choice, or all of them as JSON."""
+    yield design.to_dict()
     titles = [f"error of theta[{j}]" for j in range(len(design.theta))]
     noise = numbers_text(design.deviations.tolist())
     title = f"{design.identifier}: predicted errors, noise of y {noise} ({design.noise_source})"
@@ -104,14 +91,13 @@ def print_design(design: ExperimentDesign, *, as_json: bool) -> None:
             choice = _TITLES.get(ranked.choice, ranked.choice)
             numbers = map(_number, (*ranked.error, ranked.ratio))
             rows.append((choice, _settings(ranked.settings), ranked.method, *numbers))
-    print_table(new_table(title, ("", "set", "method", *titles, "of bound"), rows))
+    yield new_table(title, ("", "set", "method", *titles, "of bound"), rows)
     for omitted in design.omitted:
         choice = _TITLES.get(omitted.choice, omitted.choice)
         settings = ", ".join(filter(None, map(_settings, omitted.settings)))
         of_method = " ".join(filter(None, (omitted.method, settings)))
-        print_line(": ".join(filter(None, (choice, of_method, omitted.reason))))
-    for note in design.notes:
-        print_line(note)
+        yield ": ".join(filter(None, (choice, of_method, omitted.reason)))
+    yield from design.notes
 
 
 def _settings(settings: Mapping[str, Any]) -> str:

@@ -17,9 +17,10 @@ from cosim.errors import CosimError, flag, listing, option, quoted
 from cosim.log import Log
 from cosim.report.certificate import StepCertificate, certificate_of
 from cosim.report.estimators import bad_verdicts, by_reason, value_text
+from cosim.report.printable import print_notice
 from cosim.report.recorded_rows import recorded_port
 from cosim.report.summary import Summary, span, summarize
-from cosim.report.tables.console import new_table, print_json, print_line, print_tables
+from cosim.report.tables.console import new_table, print_json, print_tables
 from cosim.scenario.building.coupling import gain_text
 from cosim.scenario.record import recorded_start, recorded_window
 from cosim.theory.documents import ParameterVerdict, Verdict
@@ -69,7 +70,7 @@ def print_summary(
         print_json(content)
         return
     for text in warning_texts(summary.warnings):
-        print_line(f"warning: {text}", error=True)
+        print_notice(f"warning: {text}")
     more = [("wall time", _wall_time(wall, summary.end - summary.start))]
     if path is not None:
         more.append(("log", str(path)))
@@ -115,10 +116,10 @@ def _print_quietly(recording: RecordedRun) -> None:
     """Print what nobody who trusts the result may miss."""
     for names, verdict, reason in bad_verdicts(recording):
         if verdict:
-            print_line(f"warning: {names}: {verdict}: {reason}", error=True)
+            print_notice(f"warning: {names}: {verdict}: {reason}")
     taken = [warning for warning in recording.warnings if _TAKEN.search(warning.text)]
     for text in warning_texts(taken):
-        print_line(f"warning: {text}", error=True)
+        print_notice(f"warning: {text}")
 
 
 def failure_lines(run: RecordedRun, fail_on: Collection[str], *, quiet: bool) -> list[str]:
@@ -149,7 +150,7 @@ def _path_of(recording: Recording) -> Path | None:
         return recording.path
     state = "holds the log of another run by now" if recording.path.exists() else "was removed"
     text = f"warning: {recording.path} {state}; shown is this run, whose log is lost"
-    print_line(text, error=True)
+    print_notice(text)
     return None
 
 

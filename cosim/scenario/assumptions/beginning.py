@@ -69,6 +69,10 @@ class Beginning:
         Those that were computed to be checked.
     refused : list of str
         The components that have no design.
+    noted : list of (str, str)
+        What the run warns of beside what its build does.
+    said : list of (str, str)
+        Warnings that verdicts say.
     """
 
     def __init__(self, builder: Builder) -> None:
@@ -78,7 +82,8 @@ class Beginning:
         self.designs: dict[str, Design] = {}
         self.refused: list[str] = []
         self._row: Vector | None = None
-        self._of_fmus: list[tuple[str, str]] = []
+        self.noted: list[tuple[str, str]] = []
+        self.said: list[tuple[str, str]] = []
 
     @cached_property
     def problems(self) -> list[Problem]:
@@ -109,8 +114,9 @@ class Beginning:
 
     @property
     def warnings(self) -> list[tuple[str, str]]:
-        """What the run warns of before its first step, by component, each once."""
-        return list(dict.fromkeys([*self.context.warnings, *self._of_fmus]))
+        """What the run warns of before its first step, by component, beside what is said."""
+        warnings = dict.fromkeys([*self.context.warnings, *self.noted])
+        return [warning for warning in warnings if warning not in self.said]
 
     def check(self) -> Evidence:
         """Prepare and initialize every component.
@@ -134,7 +140,7 @@ class Beginning:
             raise AssumptionError(str(error)) from error
         finally:
             fmus = self._experiment.fmus
-            self._of_fmus = warnings_among({name: fmu.drain() for name, fmu in fmus.items()})
+            self.noted += warnings_among({name: fmu.drain() for name, fmu in fmus.items()})
         self._row = row
         count = len(graph.components)
         evidence = (

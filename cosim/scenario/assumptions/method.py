@@ -204,11 +204,8 @@ def _delays(kind: RegressorKind, beginning: Beginning, theta: Vector | None) -> 
     evidence = f"{len(kind.delays)} distinct delays, whole multiples of {divisor:g} s apart"
     if theta is None:
         return f"{evidence}; a rate above {limit:.3g} rad/s would alias to a slower one", values
-    rates = [0.0]
-    for component in generators(families_of(kind.terms)).each:
-        eigenvalues = np.linalg.eigvals(component.matrix(theta[component.theta]))
-        rates.append(float(np.abs(eigenvalues.imag).max()))
-    rate = max(rates)
+    matrices = [each.matrix(theta[each.theta]) for each in generators(families_of(kind.terms)).each]
+    rate = float(max(np.abs(np.linalg.eigvals(G).imag).max() for G in matrices))
     values["fastest_rate"] = rate
     if rate >= limit:
         raise AssumptionError(
@@ -275,7 +272,7 @@ def _start(name: str, kind: IdentifierKind, beginning: Beginning) -> Evidence:
         values |= {key: times[key] for key in ("T_obs", "T_f", "D_max", "T_id")}
         parts = [f"{key} {times[key]:.4g}" for key in ("T_obs", "T_f", "D_max")]
         evidence += f" = {' + '.join(parts)} s"
-    evidence += f", of a run that ends at {stop:g} s"
+    evidence += f"; the run ends at {stop:g} s"
     if T_id >= stop:
         cure = "use a longer run, faster poles, a faster filter or shorter delays"
         raise AssumptionError(evidence, cure=cure)
@@ -359,12 +356,14 @@ def _of_disturbance(
 def _determined(what: str, smallest: float) -> Evidence:
     """Return whether something determines theta, by how it changes along directions of theta."""
     if smallest <= INSEPARABLE:
+        cause = "a component is absent, or two are alike"
         cure = "use amplitudes that are not 0, and components that differ"
         if what == "regression":
+            cause += ", or the alphas or delays differ too little"
             cure += ', other delays, or method = "output-error"'
         raise AssumptionError(
             f"the {what} does not determine theta: along one direction of theta it changes by "
-            f"{smallest:.2g} of itself; a component is absent, or two are alike",
+            f"{smallest:.2g} of itself; {cause}",
             cure=cure,
         )
     return (

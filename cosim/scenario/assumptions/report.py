@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 from cosim.arguments import mapping_argument
 from cosim.errors import AssumptionError, listing
@@ -23,6 +23,7 @@ BEGINNING: Final = "beginning of the run"
 FILTER: Final = "the filter follows its inputs"
 RESOLUTION: Final = "the step resolves the model"
 FILE: Final = "the scenario"
+NamedVerdict: TypeAlias = tuple[str, AssumptionVerdict]  # on a model, or a component
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +40,7 @@ class AssumptionReport:
     """
 
     scenario: str
-    verdicts: tuple[tuple[str, AssumptionVerdict], ...]
+    verdicts: tuple[NamedVerdict, ...]
     warnings: tuple[tuple[str, str], ...]
 
     @property
@@ -84,108 +85,90 @@ def check_assumptions(
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
     edited = loaded.edit(set=mapping_argument("set", set))
     with ExitStack() as resources:
-        check = _Check(Beginning(Builder(edited, resources)))
-        check.tables()
-        check.run()
-        return AssumptionReport(edited.name, tuple(check.verdicts), tuple(check.warnings))
+        beginning = Beginning(Builder(edited, resources))
+        verdicts = _of_tables(beginning)
+        verdicts += _of_run(beginning, verdicts)
+        return AssumptionReport(edited.name, tuple(verdicts), tuple(beginning.warnings))
 
 
-class _Check:
-    """The checks of a scenario as far as it could be built.
+def _of_tables(beginning: Beginning) -> list[NamedVerdict]:
+    """Check the models and the components; what rests on another comes behind it."""
+    verdicts: list[NamedVerdict] = []
+    for name in beginning.scenario.file.models:
+        for verdict in verdicts_of_model(name, beginning):
+            verdicts.append((f"models.{name}", verdict))
+    for kind, check in CHECKS.items():
+        for name, spec in beginning.scenario.specs.items():
+            if isinstance(spec, kind):
+                beginning.context.begin(name)
+                for verdict in check(name, spec, beginning):
+                    verdicts.append((name, _resting(verdict, verdicts)))
+    return verdicts
 
-    Attributes
-    ----------
-    verdicts : list of (str, AssumptionVerdict)
-    """
 
-    def __init__(self, beginning: Beginning) -> None:
-        self.verdicts: list[tuple[str, AssumptionVerdict]] = []
-        self._of_coupling: list[tuple[str, str]] = []  # warnings
-        self._of_filters: list[tuple[str, str]] = []  # warnings that verdicts say
-        self._beginning = beginning
-        self._scenario = beginning.scenario
+def _resting(verdict: AssumptionVerdict, on: Sequence[NamedVerdict]) -> AssumptionVerdict:
+    """Return a verdict that repeats another as one that rests on it."""
+    if not verdict.fulfilled:
+        for name, other in on:
+            if other.fulfilled is False and other.evidence in verdict.evidence:
+                return undecided(verdict.name, f"{name}: {other.name} is not fulfilled")
+    return verdict
 
-    @property
-    def warnings(self) -> list[tuple[str, str]]:
-        """What a run would warn of beside what is refused, after the checks."""
-        warnings = [*self._beginning.warnings, *self._of_coupling]
-        return [warning for warning in warnings if warning not in self._of_filters]
 
-    def tables(self) -> None:
-        """Check the models and the components; what rests on another comes behind it."""
-        for name in self._scenario.file.models:
-            for verdict in verdicts_of_model(name, self._beginning):
-                self.verdicts.append((f"models.{name}", verdict))
-        for kind, check in CHECKS.items():
-            for name, spec in self._scenario.specs.items():
-                if isinstance(spec, kind):
-                    self._beginning.context.begin(name)
-                    for verdict in check(name, spec, self._beginning):
-                        self.verdicts.append((name, self._resting(verdict)))
-
-    def run(self) -> None:
-        """Check that a run can begin, its loops and its step, and what else stands against it."""
-        refusals = [one.evidence for _, one in self.verdicts if one.fulfilled is False]
-        others = []
-        for key, text in self._beginning.problems:
-            if not any(evidence in text for evidence in refusals):
-                others.append(refused(".".join(map(str, key)), AssumptionError(text)))
-        if not others:
-            begun = self._resting(attempted(BEGINNING, self._beginning.check))
-            others = [begun, *self._coupling()]
-            if begun.fulfilled:
-                others.append(self._resolution())
-                self._check_filters()
-        self.verdicts += [(FILE, verdict) for verdict in others]
-
-    def _resting(self, verdict: AssumptionVerdict) -> AssumptionVerdict:
-        """Return a verdict that repeats another as one that rests on it."""
-        if not verdict.fulfilled:
-            for name, other in self.verdicts:
-                if other.fulfilled is False and other.evidence in verdict.evidence:
-                    return undecided(verdict.name, f"{name}: {other.name} is not fulfilled")
-        return verdict
-
-    def _check_filters(self) -> None:
-        """Refuse the filters of observers that do not follow their inputs over a step."""
-        builder = self._beginning.builder
-        for name, spec in self._scenario.specs.items():
+def _of_run(beginning: Beginning, verdicts: Sequence[NamedVerdict]) -> list[NamedVerdict]:
+    """Check that a run can begin, its loops and its step, and what else stands against it."""
+    refusals = [verdict.evidence for _, verdict in verdicts if verdict.fulfilled is False]
+    others = []
+    for key, text in beginning.problems:
+        if not any(evidence in text for evidence in refusals):
+            others.append(refused(".".join(map(str, key)), AssumptionError(text)))
+    if others:
+        return [(FILE, verdict) for verdict in others]
+    begun = _resting(attempted(BEGINNING, beginning.check), verdicts)
+    of_run = [begun, *_coupling(beginning)]
+    of_filters: list[NamedVerdict] = []
+    if begun.fulfilled:
+        of_run.append(_resolution(beginning))
+        for name, spec in beginning.scenario.specs.items():
             if isinstance(spec, UnknownInputObserverKind):
-                for text in builder.advice(name, spec, self._beginning.graph):
-                    self._of_filters.append((name, text))
-                    self.verdicts.append((name, refused(FILTER, AssumptionError(text))))
+                for text in beginning.builder.advice(name, spec, beginning.graph):
+                    beginning.said.append((name, text))
+                    of_filters.append((name, refused(FILTER, AssumptionError(text))))
+    return of_filters + [(FILE, verdict) for verdict in of_run]
 
-    def _coupling(self) -> list[AssumptionVerdict]:
-        """Return whether the coupling of each loop leaves its results what they are."""
-        may_refuse = self._scenario.file.scenario.coupling_check == "refuse"
-        verdicts = []
-        for report in self._beginning.loops():
-            self._of_coupling += [(COUPLING, text) for text in report.warnings]
-            refusals = list(report.refusals)
-            for gain in report.gains:
-                name = f"coupling of {listing(gain.components)} {gain.action}".rstrip()
-                text = refusals.pop(0) if refusals and gain.verdict == "refused" else ""
-                if text and may_refuse:
-                    verdicts.append(refused(name, AssumptionError(text), gain_values(gain)))
-                    continue
-                if text:
-                    self._of_coupling.append((COUPLING, text))
-                verdict = AssumptionVerdict(
-                    name=name,
-                    fulfilled=None if gain.verdict in ("unknown", "refused") else True,
-                    evidence=f"gain {gain_text(gain)}",
-                    values=gain_values(gain),
-                )
-                verdicts.append(verdict)
-        return verdicts
 
-    def _resolution(self) -> AssumptionVerdict:
-        """Return whether a run with this step follows the exact solution of the model."""
-        found = self._beginning.resolution()
-        values = {"step": found.h, "fastest_rate": found.rate, "error": found.missed.error}
-        if not found.is_resolved:
-            return refused(RESOLUTION, AssumptionError(found.text, cure=found.cure), values)
-        fulfilled = None if found.unknown else True
-        return AssumptionVerdict(
-            name=RESOLUTION, fulfilled=fulfilled, evidence=found.text, values=values
-        )
+def _coupling(beginning: Beginning) -> list[AssumptionVerdict]:
+    """Return whether the coupling of each loop leaves its results what they are."""
+    may_refuse = beginning.scenario.file.scenario.coupling_check == "refuse"
+    verdicts = []
+    for report in beginning.loops():
+        beginning.noted += [(COUPLING, text) for text in report.warnings]
+        refusals = list(report.refusals)
+        for gain in report.gains:
+            name = f"coupling of {listing(gain.components)} {gain.action}".rstrip()
+            text = refusals.pop(0) if refusals and gain.verdict == "refused" else ""
+            if text and may_refuse:
+                verdicts.append(refused(name, AssumptionError(text), gain_values(gain)))
+                continue
+            if text:
+                beginning.noted.append((COUPLING, text))
+            verdict = AssumptionVerdict(
+                name=name,
+                fulfilled=None if gain.verdict in ("unknown", "refused") else True,
+                evidence=f"gain {gain_text(gain)}",
+                values=gain_values(gain),
+            )
+            verdicts.append(verdict)
+    return verdicts
+
+
+def _resolution(beginning: Beginning) -> AssumptionVerdict:
+    """Return whether a run with this step follows the exact solution of the model."""
+    found = beginning.resolution()
+    values = {"step": found.h, "fastest_rate": found.rate, "error": found.missed.error}
+    if not found.is_resolved:
+        return refused(RESOLUTION, AssumptionError(found.text, cure=found.cure), values)
+    fulfilled = None if found.unknown else True
+    return AssumptionVerdict(
+        name=RESOLUTION, fulfilled=fulfilled, evidence=found.text, values=values
+    )

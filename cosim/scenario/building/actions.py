@@ -136,20 +136,18 @@ class ActionChecker:
         """
         points = {}
         conditions: dict[str, int] = {}
-        step_ns = self._clock.step_ns
         for number, action in self._scenario.actions.items():
-            if action.at is not None:
-                try:
+            try:
+                if action.at is not None:
                     points[number] = self._point(action.at)
-                except ClockError as error:
-                    self._add(number, ("at",), str(error).removeprefix("at: "))
-                continue
-            assert action.when is not None, "validated before"
-            problem = condition_problem(action.when, self._components, self._unknown, step_ns)
-            if problem is None:
-                points[number] = conditions.setdefault(action.when, -1 - number)
-            else:
-                self._add(number, ("when",), problem)
+                else:
+                    assert action.when is not None, "validated before"
+                    step_ns = self._clock.step_ns
+                    check_condition(action.when, self._components, self._unknown, step_ns)
+                    points[number] = conditions.setdefault(action.when, -1 - number)
+            except CosimError as error:
+                key = "when" if action.at is None else "at"
+                self._add(number, (key,), str(error).removeprefix("at: "))
         return points
 
     def _point(self, at: float) -> int:
@@ -771,10 +769,10 @@ def _check_place(name: str, path: str, place: Interface, other: Interface) -> No
 # --- conditions ---
 
 
-def condition_problem(
+def check_condition(
     text: str, components: Mapping[str, Component], unknown: Set[str], step_ns: StepNs
-) -> str | None:
-    """Return what is wrong with a condition; None: nothing is known to be.
+) -> None:
+    """Check a condition, as far as its signals are known.
 
     Parameters
     ----------
@@ -784,14 +782,15 @@ def condition_problem(
         Components whose signals are not known.
     step_ns : int
         Communication step [ns].
+
+    Raises
+    ------
+    UsageError
+        If it is wrong.
     """
-    try:
-        signals = compile_condition(text).program.signals
-        if unknown.isdisjoint(map(_component_of, signals)):
-            Condition(text, layout_of(dict(components)), step_ns)
-    except UsageError as error:
-        return str(error)
-    return None
+    signals = compile_condition(text).program.signals
+    if unknown.isdisjoint(map(_component_of, signals)):
+        Condition(text, layout_of(dict(components)), step_ns)
 
 
 def _component_of(name: str) -> str:

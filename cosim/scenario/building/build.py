@@ -42,7 +42,7 @@ from cosim.errors import (
 )
 from cosim.instants import step_seconds
 from cosim.log.contents.metadata import json_table
-from cosim.scenario.building.actions import ActionChecker, condition_problem
+from cosim.scenario.building.actions import ActionChecker, check_condition
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.parsing import Scenario, read
 from cosim.scenario.document.document import Document
@@ -83,8 +83,6 @@ class Builder:
         Where components come from, beside their tables.
     problems : iterable of Problem
         Of the scenario, as far as they are known.
-    block : int, optional
-        Fixed number of communication steps in a block.
     replaced : mapping of component name to Interface, optional
         Of the components that swaps replaced, where they are known.
     beside : Scenario, optional
@@ -119,14 +117,12 @@ class Builder:
         origins: Origins = TABLES_ALONE,
         *,
         problems: Iterable[Problem] = (),
-        block: int | None = None,
         replaced: Mapping[str, Interface] | None = None,
         beside: Scenario | None = None,
     ) -> None:
         self.scenario = scenario
         self.problems = list(problems)
         self._origins = origins
-        self._block = block
         self._replaced = replaced or {}
         invalid = self._check_times()
         self.context = BuildContext(beside or scenario, resources, origins, invalid)
@@ -198,7 +194,7 @@ class Builder:
 
     @property
     def clock(self) -> Clock:
-        """The clock of the run.
+        """The clock of the run, with blocks of any size.
 
         Raises
         ------
@@ -206,7 +202,7 @@ class Builder:
             If one of its times is wrong, with every problem of the file.
         """
         try:
-            return replace(self.context.clock, block=self._block)
+            return self.context.clock
         except DependsOnInvalid as error:
             raise self.scenario.document.report(self.problems) from error
 
@@ -386,10 +382,11 @@ class Builder:
         right = self._right
         if until is None or not right:
             return
-        unknown = self._names - right.keys()
-        problem = condition_problem(until, right, unknown, self.context.step_ns)
-        if problem is not None:
-            self.problems.append((("scenario", "until"), problem))
+        step_ns = self.context.step_ns
+        try:
+            check_condition(until, right, self._names - right.keys(), step_ns)
+        except UsageError as error:
+            self.problems.append((("scenario", "until"), str(error)))
 
     def _check_record(self) -> None:
         """Add the problem of what is chosen to be recorded, where all components are known."""
@@ -748,23 +745,23 @@ def check_truth(
             ports = [Port.parse(text) for text in (estimate, *named_ports(truth))]
             if not missing.isdisjoint(port.component for port in ports):
                 continue
-            units = []
-            for port in ports:
-                match = port.find(signals.get(port.component, {}))
-                if match is None:
-                    break
-                signal, elements = match
-                units.append(signal.measures_of(elements))
-            else:
-                _check_units(ports, units, truth, warn)
-                kept[estimate] = truth
+            found = {port: port.find(signals.get(port.component, {})) for port in ports}
+            absent = [port for port in ports if found[port] is None]
+            swapped = [port for port in absent if port.component in file.swap]
+            if swapped:
+                text = f"has no {str(swapped[0])!r}: the report leaves out {estimate!r}"
+                warn(swapped[0].component, text)
                 continue
-            if port.component not in file.swap:
+            if absent:
                 names: list[str] = []
                 for name, own in signals.items():
-                    names += [f"{name}.{signal_name}" for signal_name in own]
-                raise GraphError(f"unknown signal {str(port)!r}; {nearest(str(port), names)}")
-            warn(port.component, f"has no {str(port)!r}: the report leaves out {estimate!r}")
+                    names += [f"{name}.{signal}" for signal in own]
+                text = str(absent[0])
+                raise GraphError(f"unknown signal {text!r}; {nearest(text, names)}")
+            matches = filter(None, map(found.get, ports))
+            units = [signal.measures_of(elements) for signal, elements in matches]
+            _check_units(ports, units, truth, warn)
+            kept[estimate] = truth
         except GraphError as error:
             problems.append((("truth", estimate), str(error)))
     return kept, problems

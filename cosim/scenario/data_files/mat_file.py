@@ -80,27 +80,33 @@ def read_variables(label: str, content: bytes) -> dict[str, MatVariable]:
         if content[126:_HEADER] != b"IM":  # which is MI where bytes are in the other order
             return _read_version_4(content)
         variables = {}
-        elements = _Elements(content[_HEADER:])
+        elements = _ElementReader(content[_HEADER:])
         while elements:
             kind, data = elements.next()
             if kind == _COMPRESSED:
-                kind, data = _Elements(_decompressed(data)).next()
+                kind, data = _ElementReader(_decompressed(data)).next()
             if kind == _MATRIX:
-                name, value = _variable(_Elements(data))
+                name, value = _variable(_ElementReader(data))
                 variables[name] = value
         return variables
     except (ValueError, IndexError, struct.error, zlib.error) as error:
-        problem = f"damaged: {error or 'truncated'}"
+        problem = error or "truncated"
         raise UsageError(f"{label}: not a valid MAT-file: {problem}; {_CURE}") from error
 
 
 def _read_version_4(content: bytes) -> dict[str, MatVariable]:
     """Return the variables as scipy reads them."""
-    from scipy.io import loadmat  # rarely needed
+    # rarely needed
+    from scipy.io import loadmat
+    from scipy.io.matlab import matfile_version
 
+    stream = BytesIO(content)
     try:
+        version, _ = matfile_version(stream)
+        if version != 0:  # which scipy calls version 4; the others it reads without checks
+            raise ValueError("of another version, or with bytes in the other order")
         with collected_warnings("") as warned:
-            found = loadmat(BytesIO(content), chars_as_strings=False)
+            found = loadmat(stream, chars_as_strings=False)
     except Exception as error:  # scipy raises whatever a damaged byte leads to
         raise ValueError(f"expected a MAT-file of version 4 to 7: {error}") from error
     if warned:  # of byte orders that are read wrongly
@@ -127,7 +133,7 @@ def _decompressed(data: bytes) -> bytes:
     return content
 
 
-class _Elements:
+class _ElementReader:
     """Elements one behind the other; true as long as there is a next one."""
 
     def __init__(self, content: bytes) -> None:
@@ -162,7 +168,7 @@ class _Elements:
         return np.frombuffer(data, f"<{_NUMBERS[kind]}")
 
 
-def _variable(elements: _Elements) -> tuple[str, MatVariable]:
+def _variable(elements: _ElementReader) -> tuple[str, MatVariable]:
     """Return name and value of a matrix element."""
     flags = int(elements.numbers()[0])
     dimensions = elements.numbers().tolist()
@@ -182,7 +188,7 @@ def _variable(elements: _Elements) -> tuple[str, MatVariable]:
     return name, frozen(elements.numbers().reshape((rows, columns), order="F"), 2)
 
 
-def _sparse(elements: _Elements, rows: int, columns: int) -> Matrix:
+def _sparse(elements: _ElementReader, rows: int, columns: int) -> Matrix:
     """Return a sparse matrix as a full one."""
     places, starts = [elements.numbers().astype(np.int64) for _ in range(2)]
     values = elements.numbers()

@@ -138,9 +138,10 @@ class ParquetTable(DataTable):
                 f"{self.label}: column {self.headers[position].text!r}: expected numbers, got type "
                 f"{self._types[position]}"
             )
+        names = self._file.schema_arrow.names
+        name = names[position]
         with self._only_parquet():
-            name = self._file.schema_arrow.names[position]
-            column = self._file.read(columns=[name]).column(0)
+            column = self._file.read(columns=[name]).column(names[:position].count(name))
             stamps = column.cast("int64") if position in self.stamp_units else column
             return [NAN if number is None else number for number in stamps.to_pylist()]
 

@@ -564,7 +564,8 @@ def _cells_of(page: Any) -> list[list[str | None]]:
         for cell in row:
             match cell.value:
                 case None:  # "str": the value of a formula is an empty text
-                    cells.append("" if cell.data_type == "str" else None)
+                    is_there = hasattr(cell, "coordinate")  # else it is not in the file
+                    cells.append(None if is_there and cell.data_type != "str" else "")
                 case timedelta() as duration:
                     clock = datetime.min + timedelta(0, duration.seconds, duration.microseconds)
                     time = clock.time().isoformat("microseconds")

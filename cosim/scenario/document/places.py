@@ -118,9 +118,10 @@ def _label(
     for outer in _outwards(key):
         if outer in edits:
             return edits[outer] if outer == key else f"{edits[outer]}: {name}"
-    numbers = (lines[outer] for outer in _outwards(in_file) if outer in lines)
-    place = next((f"{source}:{number}" for number in numbers), source)
     beginnings = (f"{key}.", f"{key}[")
+    numbers = [lines[outer] for outer in _outwards(in_file) if outer in lines]
+    numbers = numbers or [lines[inner] for inner in lines if inner.startswith(beginnings)]
+    place = f"{source}:{numbers[0]}" if numbers else source
     inside = sorted({edit for at, edit in edits.items() if at.startswith(beginnings)})
     if inside:
         place += f" (with {listing(inside, _MOST_EDITS)})"

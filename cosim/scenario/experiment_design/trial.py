@@ -307,10 +307,7 @@ def trial_of(
         y = inputs["y"]
         u = inputs.get("u", slice(0, 0))
         rows = recording.rows(observer)
-        held = graph.held[observer][u]
-        # an open loop, which was checked
-        in_feedback = np.zeros(len(held), np.bool_)
-        data = identified.data_set(t, rows[:, y], rows[:, u], held, in_feedback, signals)
+        data = identified.data_set(graph, t, rows[:, y], rows[:, u], signals)
         covariance = covariance_of(subject.noise, len(identified.plant.C))
         if covariance is None:
             raise UsageError(

@@ -13,7 +13,6 @@ from cosim.scenario.kinds.initial_states import GivenStates
 
 if TYPE_CHECKING:
     from cosim.blocks.renaming import Renaming
-    from cosim.fmi.component import Fmu
     from cosim.fmi.description import Description, InterfaceType
 
 
@@ -111,11 +110,3 @@ class HasDescription(ABC):
     @abstractmethod
     def description(self, name: str, context: BuildContext) -> tuple[InterfaceType, Description]:
         """Return interface type and description of the instance."""
-
-
-class TunedInPlace(ABC):
-    """Its parameters are those of an FMU."""
-
-    @abstractmethod
-    def tuned_fmu(self, name: str, context: BuildContext) -> Fmu:
-        """Return the FMU whose parameters are set in place."""

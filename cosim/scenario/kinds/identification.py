@@ -207,7 +207,7 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
         source.check_step()
         self._check_terms(source.regression)
         if self._needs_regression:
-            source.regression.check_independent(context.clock)
+            source.regression.check_known(context.clock, estimates_eta=True)
         begin = start_time(self.start, source, context)
         problem = source.missing_model()
         unknown = ", ".join(repr(alpha.text) for alpha in source.regression.known.unknown)

@@ -42,7 +42,7 @@ class StartTable(TomlTable):
 DEFAULT_START = StartTable(epsilon_observer=1e-3, epsilon_filter=1e-3)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ObserverSource:
     """The observer that drives a regressor alone."""
 

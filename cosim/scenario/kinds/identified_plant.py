@@ -163,11 +163,10 @@ class IdentifiedPlant:
 
     def data_set(
         self,
+        graph: Graph,
         t: Vector,
         y: Matrix,
         u: Matrix,
-        held: Mask,
-        in_feedback: Mask,
         signals: Matrix,
         samples: SampleRows | None = None,
     ) -> DataSet:
@@ -175,13 +174,11 @@ class IdentifiedPlant:
 
         Parameters
         ----------
+        graph : Graph
+            That it was in: which of u had a zero-order hold, and which depend on y.
         t : Vector, shape (N,)
         y : Matrix, shape (N, n_y)
         u : Matrix, shape (N, n_u)
-        held : Mask, shape (n_u,)
-            Which of u had a zero-order hold.
-        in_feedback : Mask, shape (n_u,)
-            Which of u depend on y.
         signals : Matrix, shape (N, signals)
             Those among the alphas.
         samples : SampleRows, optional
@@ -192,12 +189,15 @@ class IdentifiedPlant:
         AssumptionError
             If the alphas, as they were recorded, do not determine the regression.
         """
+        inputs = graph.layout[self.observer].interface.input_columns()
+        held = graph.held[self.observer][inputs.get("u", slice(0, 0))]
         points = t
         if samples is not None:
             t, y, u = samples.beside(t, u, held, y.shape[1])
         alpha = self.alpha_at(t, points, signals)
         self.check_alphas(t, alpha)
-        return DataSet(t, y, u, alpha, held, np.isin(t, points), in_feedback | self.closed_loop)
+        in_feedback = inputs_in_feedback(graph, self.observer) | self.closed_loop
+        return DataSet(t, y, u, alpha, held, np.isin(t, points), in_feedback)
 
 
 @dataclass(frozen=True, eq=False)
@@ -366,8 +366,7 @@ class _IdentifierData:
 
     def __init__(self, graph: Graph, name: str, identified: IdentifiedPlant) -> None:
         own = graph.layout[name].signal_columns
-        observer = graph.layout[identified.observer]
-        of_observer = observer.signal_columns
+        of_observer = graph.layout[identified.observer].signal_columns
         none = slice(0, 0)
         self._identified = identified
         self._theta = own.get("theta", none)  # there is none without parameters
@@ -379,9 +378,7 @@ class _IdentifierData:
         }
         if "samples" in own:
             self._kept |= {key: own[key] for key in ("sample_times", "samples")}
-        u = observer.interface.input_columns().get("u", none)
-        self._held = graph.held[identified.observer][u]
-        self._in_feedback = inputs_in_feedback(graph, identified.observer)
+        self._graph = graph
         self._times: list[Vector] = []
         self._rows: dict[str, list[Matrix]] = {key: [] for key in self._kept}
         self._last = np.zeros(0)
@@ -412,9 +409,7 @@ class _IdentifierData:
         samples = None
         if "samples" in rows:
             samples = SampleRows(t, rows["sample_times"], rows["samples"])
-        data = identified.data_set(
-            t, rows["y"], rows["u"], self._held, self._in_feedback, rows["alpha"], samples
-        )
+        data = identified.data_set(self._graph, t, rows["y"], rows["u"], rows["alpha"], samples)
         theta = self._last[self._theta]
         fitted = assess(identified.problem_of([data.last(identified.window)]), theta)
         assessment = advised(fitted, [identified.alpha])

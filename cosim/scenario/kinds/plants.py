@@ -17,14 +17,13 @@ from cosim.fmi.driving.solvers import SOLVERS, STEPPING
 from cosim.instants import NANOSECONDS, Grid
 from cosim.scenario.document.schema import Flag, Number, NumberRow, Whole
 from cosim.scenario.kinds.base import BuildContext, Kind, LinearKind, LinearNearStart, PeriodicKind
-from cosim.scenario.kinds.capabilities import HasDescription, HasGivenStates, TunedInPlace
+from cosim.scenario.kinds.capabilities import HasDescription, HasGivenStates
 from cosim.scenario.kinds.initial_states import GivenStates
 from cosim.scenario.kinds.values import LinearSystem, Sampling, StepDependence
 from cosim.scenario.record import component_record
 from cosim.theory.plants.descriptor import DescriptorSystem, reduce
 
 if TYPE_CHECKING:
-    from cosim.fmi.component import Fmu
     from cosim.fmi.description import Description, InterfaceType
 
 Scalar = Flag | Whole | Number | StrictStr
@@ -148,7 +147,7 @@ def check_foreign_initial(model: str, name: str, values: NumberRow | None) -> No
         raise UsageError(f"{name}: the model {model!r} {form}; expected {needed}")
 
 
-class FmuKind(PlantKind, PeriodicKind, HasDescription, LinearNearStart, TunedInPlace):
+class FmuKind(PlantKind, PeriodicKind, HasDescription, LinearNearStart):
     """An FMU of FMI 1.0, 2.0 or 3.0."""
 
     ports: ClassVar[str] = "those of the FMU"
@@ -220,9 +219,6 @@ class FmuKind(PlantKind, PeriodicKind, HasDescription, LinearNearStart, TunedInP
         keys = self.given("path", "period", "input_interpolation")
         options = FmuOptions(**keys, step=float(self.period or context.h))
         return context.fmu(name, self.path, options)
-
-    def tuned_fmu(self, name: str, context: BuildContext) -> Fmu:
-        return context.opened(name)
 
     def description(self, name: str, context: BuildContext) -> tuple[InterfaceType, Description]:
         fmu = context.opened(name)

@@ -10,7 +10,6 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from cosim.arrays import Matrix, Vector
@@ -192,29 +191,23 @@ class RegressorDesign:
             grid = np.linspace(min(first, clock.stop), clock.stop, SAMPLES)
         return grid[:, np.newaxis] - ages
 
-    def check_different(self, clock: Clock) -> None:
-        """Check, as far as it is known before the run, that the alphas are different ones.
+    def check_known(self, clock: Clock, *, estimates_eta: bool) -> None:
+        """Check the alphas as far as they are known before the run.
+
+        Parameters
+        ----------
+        clock : Clock
+        estimates_eta : bool
+            Their products have to be independent.
 
         Raises
         ------
         AssumptionError
-            If they are not.
+            If they are not different, or their products are not independent.
         """
         for part in self.by_element:
             if not part.known.unknown:
-                part._check_different(part.known, part.times_before(clock))
-
-    def check_independent(self, clock: Clock) -> None:
-        """Check, as far as it is known before the run, that eta can be estimated.
-
-        Raises
-        ------
-        AssumptionError
-            If the products of the alphas are not independent.
-        """
-        for part in self.by_element:
-            if not part.known.unknown:
-                part._check_independent(part.known, part.times_before(clock))
+                part._check(part.known, part.times_before(clock), estimates_eta)
 
     def check_recorded(self, t: Vector, alpha: Matrix, *, estimates_eta: bool) -> None:
         """Check the alphas where only the run has computed them, if it is longer than the delays.
@@ -226,44 +219,29 @@ class RegressorDesign:
         alpha : Matrix, shape (N, terms)
             The known factor of every term.
         estimates_eta : bool
-            Their products have to be independent.
-
-        Raises
-        ------
-        AssumptionError
-            If they are not different, or their products are not independent.
+            As above, and the same errors.
         """
         for own, part in zip(self.members, self.by_element, strict=True):
             ages = np.array(part.delays)
             first = t[0] + ages.max()
-            if not part.known.unknown or not first < t[-1]:
-                continue
-            columns = [alpha[:, own[group.components[0]]] for group in part.groups]
-            recorded = partial(_interpolated, t, columns)
-            times = np.linspace(first, t[-1], SAMPLES)[:, np.newaxis] - ages
-            part._check_different(recorded, times)
-            if estimates_eta:
-                part._check_independent(recorded, times)
+            if part.known.unknown and first < t[-1]:
+                columns = [alpha[:, own[group.components[0]]] for group in part.groups]
+                times = np.linspace(first, t[-1], SAMPLES)[:, np.newaxis] - ages
+                part._check(partial(_interpolated, t, columns), times, estimates_eta)
 
-    def _check_different(self, alphas: Callable[[Vector], Matrix], times: Matrix) -> None:
+    def _check(
+        self, alphas: Callable[[Vector], Matrix], times: Matrix, estimates_eta: bool
+    ) -> None:
         """Check alphas ``(N, groups)`` at instants ``(N,)``, in a run at ``times (N, rows)``."""
-        if len(self.groups) > 1:
-            names, sampled = self._sampled(alphas, times)
-            regression.check_proportional(sampled, names)
-            families = [[self.families[i] for i in group.components] for group in self.groups]
-            check_exchangeable(times.ravel(), sampled.reshape(-1, len(names)), families, names)
-
-    def _check_independent(self, alphas: Callable[[Vector], Matrix], times: Matrix) -> None:
-        if len(self.groups) > 1 and self.needs_independence:
-            names, sampled = self._sampled(alphas, times)
-            regression.check_alpha_products(self.terms, sampled, names)
-
-    def _sampled(
-        self, alphas: Callable[[Vector], Matrix], times: Matrix
-    ) -> tuple[list[str], NDArray[np.float64]]:
-        """Return the names of the alphas, and their values, shape ``(N, rows, groups)``."""
+        if len(self.groups) < 2:
+            return
         names = [alpha.text for alpha in self.group_alphas]
-        return names, alphas(times.ravel()).reshape(*times.shape, len(names))
+        sampled = alphas(times.ravel()).reshape(*times.shape, len(names))
+        regression.check_proportional(sampled, names)
+        families = [[self.families[i] for i in group.components] for group in self.groups]
+        check_exchangeable(times.ravel(), sampled.reshape(-1, len(names)), families, names)
+        if estimates_eta and self.needs_independence:
+            regression.check_alpha_products(self.terms, sampled, names)
 
     def component(self) -> Regressor | ElementRegressors:
         """Return a component that makes the signals of the regression."""
@@ -399,7 +377,7 @@ class RegressorKind(ExportableKind):
             delays=self.delays,
             lag=context.lag(Port(name, "delta")),
         )
-        design.check_different(context.clock)
+        design.check_known(context.clock, estimates_eta=False)
         return design
 
     def check_distinguishable(

@@ -124,7 +124,6 @@ def check_target(out: str | Path | None, *, force: bool = False, numbered: bool 
 def build_experiment(
     scenario: Scenario,
     resources: ExitStack,
-    block: int | None,
     *,
     unpacked: UnpackedFmus | None = None,
     reports: SwapReports | None = None,
@@ -136,8 +135,6 @@ def build_experiment(
     scenario : Scenario
     resources : ExitStack
         Closes what was opened, when the run is over.
-    block : int or None
-        Fixed number of communication steps in a block.
     unpacked : UnpackedFmus, optional
         Where FMUs are unpacked and loaded for all builds of a process.
     reports : SwapReports, optional
@@ -150,12 +147,12 @@ def build_experiment(
     """
 
     def build() -> Experiment:
-        return Builder(scenario, resources, Origins(unpacked=unpacked), block=block).experiment()
+        return Builder(scenario, resources, Origins(unpacked=unpacked)).experiment()
 
     if scenario.file.swap and reports is None:
         from cosim.scenario.recordings.swap_comparison import build_swapped  # few runs need it
 
-        experiment, reports = build_swapped(scenario, resources, block, unpacked)
+        experiment, reports = build_swapped(scenario, resources, unpacked)
     else:
         experiment = build()
 
@@ -217,9 +214,6 @@ def record(
         run_into(taking, experiment, progress=progress, profile=profile)
         finish()
         return memory
-    is_read = Path(os.path.realpath(log_path(out))) in experiment.built.files
-    if is_read and not target.numbered:
-        raise UsageError(f"{out} is read by this run; choose another path for the log")
     log = log_recorder(experiment, out, target)
     taking = shown(experiment, target.live, beside, chosen_of(experiment, log))
     began = partial(_announce_size, log, experiment.clock.steps, target.notice)
@@ -362,7 +356,16 @@ def _run(experiment: Experiment, recorder: Recorder) -> None:
 def log_recorder(
     experiment: Experiment, out: str | Path, target: Target, *, events: bool = False
 ) -> McapRecorder:
-    """Return the recorder of a log; with ``events`` for a run whose inputs may be overridden."""
+    """Return the recorder of a log; with ``events`` for a run whose inputs may be overridden.
+
+    Raises
+    ------
+    UsageError
+        If the run reads what is to be replaced.
+    """
+    is_read = Path(os.path.realpath(log_path(out))) in experiment.built.files
+    if is_read and not target.numbered:
+        raise UsageError(f"{out} is read by this run; choose another path for the log")
     metadata = metadata_of(experiment)
     attachments = attachments_of(experiment, embed=target.embed)
     return McapRecorder(

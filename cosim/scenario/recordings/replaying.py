@@ -232,11 +232,11 @@ def rebuilt(
             unpacked=unpacked,
         ),
         problems=problems,
-        block=request.block,
         replaced={name: declared[name].interface for name in swap if name in declared},
         beside=scenario,
     )
     experiment = _compared(builder, source, [name for name in swap if name in declared])
+    experiment.clock = replace(experiment.clock, block=request.block)
     if request.rerun:
         from cosim.scenario.recordings.embedding import add_recorded_reports
 

@@ -63,7 +63,7 @@ def compare_swaps(scenario: Scenario, unpacked: UnpackedFmus | None = None) -> S
         If nothing of the scenario can be built.
     """
     with ExitStack() as resources:
-        return _SwapComparison(scenario, resources, None, unpacked).reports
+        return _SwapComparison(scenario, resources, unpacked).reports
 
 
 def dry_run(scenario: Scenario) -> SwapReports:
@@ -75,7 +75,7 @@ def dry_run(scenario: Scenario) -> SwapReports:
         If nothing of the scenario can be built.
     """
     with ExitStack() as resources:
-        comparison = _SwapComparison(scenario, resources, None)
+        comparison = _SwapComparison(scenario, resources)
         reports = comparison.reports
         if reports.refusals:
             return reports
@@ -90,7 +90,6 @@ def dry_run(scenario: Scenario) -> SwapReports:
 def build_swapped(
     scenario: Scenario,
     resources: ExitStack,
-    block: int | None,
     unpacked: UnpackedFmus | None = None,
 ) -> tuple[Experiment, SwapReports]:
     """Build a scenario with swaps, and the reports of these; parameters as of ``Builder``.
@@ -100,7 +99,7 @@ def build_swapped(
     ScenarioError
         With every problem of the scenario, and the ports that may have been meant.
     """
-    comparison = _SwapComparison(scenario, resources, block, unpacked)
+    comparison = _SwapComparison(scenario, resources, unpacked)
     comparison.reports.check()
     return comparison.experiment(), comparison.reports
 
@@ -210,16 +209,13 @@ class _SwapComparison:
         self,
         scenario: Scenario,
         resources: ExitStack,
-        block: int | None,
         unpacked: UnpackedFmus | None = None,
     ) -> None:
         before, unbuilt = _replaced_components(scenario, unpacked)
         replaced = {name: component.interface for name, component in before.items()}
         origins = Origins(unpacked=unpacked)
         self._resources = resources
-        self._builder = partial(
-            Builder, scenario, resources, origins, block=block, replaced=replaced
-        )
+        self._builder = partial(Builder, scenario, resources, origins, replaced=replaced)
         builder = self._builder()
         fmus = builder.context.fmus
         # The messages of FMUs from when they are loaded belong to the run, those of the comparison

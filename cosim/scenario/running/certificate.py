@@ -84,7 +84,7 @@ class Certification:
         self._recorder: Recorder | None = None
         self._error: BaseException | None = None  # with which a complete run ended
         with ExitStack() as resources:
-            experiment = build_experiment(scenario, resources, None)
+            experiment = build_experiment(scenario, resources)
             _check(experiment)
             graph = experiment.graph
             self._clock = experiment.clock
@@ -168,7 +168,7 @@ class Certification:
         step = self._step(finer)
         try:
             changes = {} if finer == 1 else {**self._decided, "scenario.step": step}
-            return build_experiment(self.scenario.edit(set=changes), resources, None)
+            return build_experiment(self.scenario.edit(set=changes), resources)
         except CosimError as error:
             raise UsageError(
                 f"step error: the scenario must also run with {step} s, and cannot:\n{error}"

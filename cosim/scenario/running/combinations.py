@@ -33,31 +33,24 @@ def combinations(vary: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
     given = mapping_argument("vary", vary)
     if not given:
         raise UsageError(f"{option('vary')}: expected a key and its values, got nothing")
-    values_of = {key: _values(key, values) for key, values in given.items()}
-    counts = [len(values) for values in values_of.values()]
-    total = math.prod(counts)
-    if total > MOST_COMBINATIONS:
-        product = " x ".join(map(str, counts))
+    values_of: dict[str, list[Any]] = {}
+    for key, values in given.items():
+        if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray):
+            raise UsageError(f"{option('vary', key)}: expected a list, got {quoted(values)}")
+        if not len(values):
+            raise UsageError(f"{option('vary', key)}: expected at least one value, got none")
+        try:
+            values_of[key] = list(map(plain, values))
+        except UsageError as error:
+            raise UsageError(f"{option('vary', key)}: {error}") from error
+    counts = list(map(len, values_of.values()))
+    if math.prod(counts) > MOST_COMBINATIONS:
         raise UsageError(
-            f"{option('vary')}: expected at most {MOST_COMBINATIONS} combinations, got {product} "
-            f"= {total}"
+            f"{option('vary')}: expected at most {MOST_COMBINATIONS} combinations, got "
+            f"{' x '.join(map(str, counts))} = {math.prod(counts)}"
         )
-    return [
-        dict(zip(values_of, chosen, strict=True))
-        for chosen in itertools.product(*values_of.values())
-    ]
-
-
-def _values(key: str, values: object) -> list[Any]:
-    """Return the values of a key as TOML has them."""
-    if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray):
-        raise UsageError(f"{option('vary', key)}: expected a list, got {quoted(values)}")
-    if not len(values):
-        raise UsageError(f"{option('vary', key)}: expected at least one value, got none")
-    try:
-        return [plain(value) for value in values]
-    except UsageError as error:
-        raise UsageError(f"{option('vary', key)}: {error}") from error
+    chosen = itertools.product(*values_of.values())
+    return [dict(zip(values_of, values, strict=True)) for values in chosen]
 
 
 def combination_text(values: Mapping[str, Any]) -> str:

@@ -25,9 +25,8 @@ from cosim.core.recorded.signals import warning_texts
 from cosim.core.recorders import Memory, Nothing
 from cosim.core.recording import Recorder
 from cosim.core.simulation import Simulation
-from cosim.errors import UsageError, warn
+from cosim.errors import warn
 from cosim.log import Log
-from cosim.log.mcap_file.paths import log_path
 from cosim.log.mcap_file.rotation import read_rotation
 from cosim.log.writing.background import FLUSH_INTERVAL
 from cosim.options import OF_A_LOG, OF_A_RECORDER, STEP_IS_CHOSEN, check_rules
@@ -96,7 +95,7 @@ def start(
 
 def _opened(scenario: Scenario, target: Target, resources: ExitStack, is_next: bool) -> Opened:
     """Build a scenario, and begin its simulation and its log."""
-    experiment = build_experiment(scenario, resources, None)
+    experiment = build_experiment(scenario, resources)
     values = metadata_of(experiment)
     del values["cosim.run"]  # its times: states go on whatever they are
     identity = hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
@@ -105,11 +104,8 @@ def _opened(scenario: Scenario, target: Target, resources: ExitStack, is_next: b
     if out is None:
         recorder = MessageRecorder(Nothing(), replace(experiment, identified={}))
     else:
-        if is_next:
-            target = Target(out, numbered=True)
-        elif log_path(out).resolve() in experiment.built.files and not target.numbered:
-            raise UsageError(f"{out} is read by this run; choose another path for the log")
-        log = log_recorder(experiment, out, target, events=True)
+        kept = Target(out, numbered=True) if is_next else target
+        log = log_recorder(experiment, out, kept, events=True)
         recorder = MessageRecorder(chosen_of(experiment, log), experiment)
     with ExitStack() as entered:
         entered.enter_context(recorder)
@@ -321,7 +317,8 @@ def run(
             certification = Certification(edited, progress)
             certification.check()
         beside: Beside | None = None if certification is None else certification.beside
-        experiment = build_experiment(edited, resources, block)
+        experiment = build_experiment(edited, resources)
+        experiment.clock = replace(experiment.clock, block=block)
         if pace is not None:
             beside = paced(experiment, pace, beside)
 

@@ -27,7 +27,6 @@ from cosim.errors import UsageError, nearest, quoted
 from cosim.log import open_log
 from cosim.native.estimation.alphas import signals_among
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.kinds.feedback import inputs_in_feedback
 from cosim.scenario.kinds.identified_plant import (
     IDENTIFY_WITH_OFFSET,
     OUTPUT_ERROR,
@@ -191,21 +190,18 @@ def identifier_record(log: CompleteRecording, identifier: str | None = None) -> 
         name = _chosen(log, experiment.identified, identifier)
         identified = experiment.identified[name]
         observer = identified.observer
-        inputs = experiment.graph.layout[observer].interface.input_columns()
-        held = experiment.graph.held[observer][inputs.get("u", slice(0, 0))]
-        in_feedback = inputs_in_feedback(experiment.graph, observer)
         samples = _samples(log, experiment, name)
     if identified.problem:
         raise UsageError(f"{log.label}: {identified.problem}")
     t = seconds(log.time_ns(observer))
     y = as_columns(log[f"{observer}.y"])
     u = np.zeros((len(t), 0))
-    if "u" in inputs:
+    if "u" in log.channels[observer].by_name:
         u = as_columns(log[f"{observer}.u"])
     signals = np.zeros((len(t), 0))
     if signals_among(identified.alphas):
         signals = as_columns(log[f"{identified.regressor}.alpha"])
-    data = identified.data_set(t, y, u, held, in_feedback, signals, samples)
+    data = identified.data_set(experiment.graph, t, y, u, signals, samples)
     return IdentifierRecord(log, name, identified, data)
 
 

@@ -225,7 +225,9 @@ def _field_experiment(
 ) -> Experiment:
     """Build a scenario that takes components from a recording of another tool."""
     edited = scenario.edit(set=request.changes)
-    return build_experiment(edited, resources, request.block, unpacked=unpacked)
+    experiment = build_experiment(edited, resources, unpacked=unpacked)
+    experiment.clock = replace(experiment.clock, block=request.block)
+    return experiment
 
 
 def replay(

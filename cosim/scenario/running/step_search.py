@@ -73,7 +73,7 @@ def find_step(
         )
     search = _StepSearch(scenario, tolerances, progress)
     try:
-        best = search.largest_above(search.first_fine())
+        best = search.best()
     except Interrupted as error:
         error.add_note("no step was found yet, so nothing is recorded")
         raise
@@ -182,7 +182,7 @@ class _StepSearch:
         self._progress = progress
         self.trials: list[_TriedStep] = []
         with ExitStack() as resources:
-            experiment = build_experiment(scenario, resources, None)
+            experiment = build_experiment(scenario, resources)
             clock = experiment.clock
             self._tolerances = _tolerances(experiment.graph, tolerances)
         if not isinstance(clock.step_ns, int):
@@ -199,45 +199,43 @@ class _StepSearch:
         ]
         self._possible: dict[int, bool] = {clock.step_ns: True}
 
-    def first_fine(self) -> _TriedStep:
-        """Halve the step until one is fine.
+    def best(self) -> _TriedStep:
+        """Halve the step until one is fine; then try larger ones, up to the last that was not.
 
         Raises
         ------
         RunError
             If none is.
         """
-        trial: _TriedStep | None = None
-        for step_ns in self._steps:
-            is_next = trial is None or 2 * step_ns <= trial.step_ns
-            if not (is_next and self._is_possible(step_ns)):
-                continue
-            trial = self._try(step_ns)
-            if trial.is_fine:
-                return trial
-            # With larger steps than the scenario's own a condition may come true by mistake.
-            is_hopeless = trial.follows_condition and step_ns <= self._own_step_ns
-            if is_hopeless or any(error.is_rounding for error in trial.exceeding.values()):
-                break  # smaller steps show no more
-        raise RunError(self._none_found())
-
-    def largest_above(self, best: _TriedStep) -> _TriedStep:
-        """Return the largest fine step between the one before, which was not, and a fine one."""
-        failed = [trial.step_ns for trial in self.trials if not trial.is_fine]
-        upper = failed[-1] if failed else math.inf
-        between = [
-            step for step in self._steps if best.step_ns < step < upper and self._is_possible(step)
-        ]
-        while between:
-            expected = best.expected_step_ns
-            step_ns = next((step for step in between if step <= expected), between[-1])
+        best: _TriedStep | None = None
+        upper = math.inf  # the last step that was not fine
+        while (step_ns := self._next(best, upper)) is not None:
             trial = self._try(step_ns)
             if trial.is_fine:
                 best = trial
-                between = [step for step in between if step > step_ns]
-            else:
-                between = [step for step in between if step < step_ns]
+                continue
+            upper = step_ns
+            # With larger steps than the scenario's own a condition may come true by mistake.
+            follows_condition = trial.follows_condition and step_ns <= self._own_step_ns
+            is_rounding = any(error.is_rounding for error in trial.exceeding.values())
+            if best is None and (follows_condition or is_rounding):
+                break  # smaller steps show no more
+        if best is None:
+            raise RunError(self._none_found())
         return best
+
+    def _next(self, best: _TriedStep | None, upper: float) -> int | None:
+        """Return the step to try between the best one, if there is one, and one that is not fine.
+
+        None: there is none between them.
+        """
+        if best is None:
+            smaller = (step for step in self._steps if 2 * step <= upper)
+            return next(filter(self._is_possible, smaller), None)
+        larger = [step for step in self._steps if best.step_ns < step < upper]
+        larger = list(filter(self._is_possible, larger))
+        expected = best.expected_step_ns
+        return next((step for step in larger if step <= expected), larger[-1] if larger else None)
 
     def _none_found(self) -> str:
         wanted = ", ".join(f"{label} {value:g}" for label, value in self._tolerances.items())
@@ -270,7 +268,7 @@ class _StepSearch:
         if step_ns not in self._possible:
             self._possible[step_ns] = False
             with ExitStack() as resources, suppress(CosimError):
-                build_experiment(self._at(step_ns), resources, None)
+                build_experiment(self._at(step_ns), resources)
                 self._possible[step_ns] = True
         return self._possible[step_ns]
 

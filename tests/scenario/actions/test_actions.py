@@ -16,26 +16,12 @@ name = "acted"
 stop = 4.0
 step = 0.1
 
-[components.s]
-kind = "sine"
-rate = 1.0
-offset = 1.0
-
-[components.two]
-kind = "constant"
-value = [1.0, 2.0]
-
-[components.g]
-kind = "gain"
-K = [[2.0, 0.0], [0.0, 3.0]]
-
-[components.x]
-kind = "lag"
-time_constant = 0.5
-
-[components.log]
-kind = "lag"
-time_constant = 0.5
+[components]
+s = { kind = "sine", rate = 1.0, offset = 1.0 }
+two = { kind = "constant", value = [1.0, 2.0] }
+g = { kind = "gain", K = [[2.0, 0.0], [0.0, 3.0]] }
+x = { kind = "lag", time_constant = 0.5 }
+log = { kind = "lag", time_constant = 0.5 }
 
 [connections]
 "g.u" = "two.y"
@@ -218,7 +204,7 @@ REFUSED = [  # actions, the key of what is wrong, words of the message
     ([on("g.u", override=[1.0, 2.0, 3.0])], "[0].override", "expected 2 values.*, got 3"),
     ([on(override=True)], "[0].override", "expected numbers, got true or false"),
     ([on("g.u", offset=[1.0, 2.0, 3.0])], "[0].offset", "expected 2 values .*, got 3"),
-    ([on(offset="much")], "[0].offset", "a number or a list of numbers, got 'much'"),
+    ([on(offset="much")], "[0].offset", "a number or a list, got 'much'"),
     ([on(delay=0.25)], "[0].delay", r"not .* 0\.1 s steps; nearest: 0\.2 s"),
     ([on(delay=1e-12)], "[0].delay", r"\(0\.1 s\), got 1e-12 s"),
     ([on(delay=1e300)], "[0].delay", "does not fit into 64-bit nanoseconds"),
@@ -276,7 +262,7 @@ signal = "x.u"
         place, key, _ = problem.removeprefix(f"{path}:").split(": ", 2)
         places.append((lines[int(place) - 1], key))
     assert places == [
-        ("rat = 1.0", "components.s.rat"),
+        ('s = { kind = "sine", rat = 1.0, offset = 1.0 }', "components.s.rat"),
         ("[[actions]]", "actions[3]"),
         ("at = 9.0", "actions[0].at"),
         ('signal = ["x.w", "g.u[0]"]', "actions[2].signal"),

@@ -20,17 +20,10 @@ stop = 4.0
 step = 0.1
 {until}
 
-[components.s]
-kind = "sine"
-rate = 1.0
-
-[components.x]
-kind = "lag"
-time_constant = 0.5
-
-[components.z]
-kind = "lag"
-time_constant = 0.5
+[components]
+s = {{ kind = "sine", rate = 1.0 }}
+x = {{ kind = "lag", time_constant = 0.5 }}
+z = {{ kind = "lag", time_constant = 0.5 }}
 
 [connections]
 "x.u" = "s.y"

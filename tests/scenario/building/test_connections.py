@@ -20,20 +20,10 @@ UNITS = """
 name = "units"
 stop = 1.0
 step = 0.01
-[components.room]
-kind = "sine"
-amplitude = 5.0
-rate = 6.0
-offset = 20.0
-unit = "degC"
-[components.sensor]
-kind = "lag"
-time_constant = 0.2
-unit = "K"
-[components.readout]
-kind = "lag"
-time_constant = 0.1
-unit = "{readout}"
+[components]
+room = {{ kind = "sine", amplitude = 5.0, rate = 6.0, offset = 20.0, unit = "degC" }}
+sensor = {{ kind = "lag", time_constant = 0.2, unit = "K" }}
+readout = {{ kind = "lag", time_constant = 0.1, unit = "{readout}" }}
 [connections]
 "sensor.u" = "room.y"
 "readout.u" = {{ from = "sensor.y", gain = 2.0, offset = -3.0 }}
@@ -45,15 +35,10 @@ name = "loop"
 stop = 0.5
 step = 0.01
 coupling = "{coupling}"
-[components.one]
-kind = "constant"
-value = 1.0
-[components.plant]
-kind = "fmu"
-path = "{path}"
-[components.k]
-kind = "gain"
-K = 0.5
+[components]
+one = {{ kind = "constant", value = 1.0 }}
+plant = {{ kind = "fmu", path = "{path}" }}
+k = {{ kind = "gain", K = 0.5 }}
 [connections]
 "plant.u" = "k.y"
 "plant.delta" = "one.y"
@@ -113,21 +98,11 @@ FMU = """
 name = "fmu"
 stop = 0.5
 step = 0.01
-[components.u]
-kind = "sine"
-amplitude = 5.0
-rate = 6.0
-unit = "degC"
-[components.zero]
-kind = "constant"
-value = 0.0
-[components.plant]
-kind = "fmu"
-path = "{path}"
-[components.readout]
-kind = "lag"
-time_constant = 0.1
-unit = "mm"
+[components]
+u = {{ kind = "sine", amplitude = 5.0, rate = 6.0, unit = "degC" }}
+zero = {{ kind = "constant", value = 0.0 }}
+plant = {{ kind = "fmu", path = "{path}" }}
+readout = {{ kind = "lag", time_constant = 0.1, unit = "mm" }}
 [connections]
 "plant.u" = "u.y"
 "plant.delta" = "zero.y"
@@ -267,18 +242,11 @@ INITIAL_LOOP = """
 name = "initial-loop"
 stop = 0.1
 step = 0.01
-[components.r]
-kind = "constant"
-value = 1.1
-[components.s]
-kind = "sum"
-signs = [1.0, -1.0]
-[components.lag]
-kind = "lag"
-time_constant = 1.0
-[components.k]
-kind = "gain"
-K = 3.3
+[components]
+r = { kind = "constant", value = 1.1 }
+s = { kind = "sum", signs = [1.0, -1.0] }
+lag = { kind = "lag", time_constant = 1.0 }
+k = { kind = "gain", K = 3.3 }
 [connections]
 "s.u1" = "r.y"
 "s.u2" = "k.y"

@@ -19,21 +19,9 @@ stop = 1.0
 step = 0.01
 coupling = "jacobi"
 
-[components.one]
-kind = "controller"
-A = [[-0.9]]
-B = [[0.5]]
-C = [[3.0]]
-D = [[1.0]]
-x0 = [1.0]
-
-[components.two]
-kind = "controller"
-A = [[-1.0]]
-B = [[10.0]]
-C = [[-31.0]]
-D = [[-0.9]]
-x0 = [1.0]
+[components]
+one = { kind = "controller", A = [[-0.9]], B = [[0.5]], C = [[3.0]], D = [[1.0]], x0 = [1.0] }
+two = { kind = "controller", A = [[-1.0]], B = [[10.0]], C = [[-31.0]], D = [[-0.9]], x0 = [1.0] }
 
 [connections]
 "one.u" = "two.y"

@@ -346,10 +346,7 @@ def test_topics_of_different_rates_share_one_table(recording):
     assert np.isnan(data["z"][~of_fast, 1]).all()
     # the element of /slow is measured from t = 0 on
     assert data.zero_ns == EPOCH + 5 * MS
-
-
-def test_numbers_are_times_in_their_unit(recording):
-    """Here ms since 1970, as the offset is."""
+    # a field of numbers that are ms since 1970, as the offset is
     options = {"time": "s", "time_unit": "ms", "offset": EPOCH / MS + 20}
     data = cosim.read_field_data(recording, columns={"x": "/fast.x"}, **options)
     np.testing.assert_array_equal(data.t, (np.arange(COUNT) * 10 - 20) / 1e3)

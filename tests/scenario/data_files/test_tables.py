@@ -192,12 +192,9 @@ def test_files_that_cannot_be_read_are_refused(tmp_path, monkeypatch):
 
 SECRETS = [
     "root:$6$ZebraQuagga:19000:0:99999:7:::\ndaemon:*:19000:0:99999:7:::\n",
-    "ZebraQuagga\n",
     "Zebra,Quagga\nZebraQuagga,Quagga\n",
     "ZebraQuagga\n-----BEGIN PRIVATE KEY-----\n",
-    "token=ZebraQuagga\nZebra = 1\n",
     "Zebra\xfcQuagga\n1",
-    "ZebraQuagga\n1\n",
 ]
 
 
@@ -296,9 +293,8 @@ def test_sheets_of_excel(tmp_path):
         "units": units,
         "dates": [["when", "y"], *[[begin + timedelta(seconds=t), y] for t, y in pairs]],
         "durations": [["when", "y"], *[[timedelta(days=1, seconds=t), y] for t, y in pairs]],
-        "texts": [["t", "y"], *[[str(t).replace(".", ","), str(y)] for t, y in pairs]],
+        "texts": [["t", "y"], *[[str(t), str(y)] for t, y in pairs]],
     }
-    forms["texts"][1:] = [[t, y.replace(".", ",")] for t, y in forms["texts"][1:]]
     for form, rows in forms.items():
         path = sheet(tmp_path / "a.xlsx", (form, rows), ("empty", []))
         data = read_field_data(path, offset="first", columns={"y": "y"})
@@ -360,6 +356,17 @@ def test_time_stamps_of_parquet_have_their_unit(tmp_path):
         path = parquet(tmp_path, {"when": pyarrow.array(stamps, kind), "y": Y[:3]})
         data = read_field_data(path, offset="first")
         np.testing.assert_allclose(data.t, [0.0, 1e-3, 2.100001e-3], rtol=1e-15)
+
+
+def test_columns_of_one_name_are_each_their_own(tmp_path):
+    """As of units beside them, which tell them apart where one has the times."""
+    pyarrow = pytest.importorskip("pyarrow")
+    stamps = pyarrow.array([0, 500], pyarrow.duration("ms"))
+    columns = pyarrow.Table.from_arrays([pyarrow.array([3.0, 4.0]), stamps], ["t [s]", "t [s]"])
+    pytest.importorskip("pyarrow.parquet").write_table(columns, tmp_path / "a.parquet")
+    table = read_table(tmp_path / "a.parquet")
+    assert table.values(0).tolist() == [3.0, 4.0]
+    assert list(map(float, table.times(1))) == [0.0, 500.0]
 
 
 def test_parquet_without_a_table_of_samples_is_refused(tmp_path):
@@ -458,12 +465,17 @@ def test_a_trajectory_of_dymola_has_names_units_and_aliases(tmp_path, form):
 
 
 def test_matrices_of_equally_many_rows_are_read(tmp_path):
-    """As MATLAB saves them; a converted log is refused, as the log itself says more."""
+    """As MATLAB saves them, in the usual order of bytes; a converted log is refused."""
     arrays = {"t": T, "y": np.array(Y), "x": np.ones((4, 2)), "gain": 3.0, "name": "tank"}
     scipy.io.savemat(tmp_path / "b.mat", arrays)
     data = read_field_data(tmp_path / "b.mat")
     assert (data.t.tolist(), data["y"][:, 0].tolist(), data["x"].shape) == (T, Y, (4, 2))
     assert [signal.name for signal in data.signals] == ["y", "x"]
+    content = (tmp_path / "b.mat").read_bytes()
+    for mark in (b"\1\0MI", b"\0\1XX"):  # scipy would read the first, without checks
+        (tmp_path / "other.mat").write_bytes(content[:124] + mark + content[128:])
+        with pytest.raises(UsageError, match=r"MAT-file: expected .* version 4 to 7: .*save -v7"):
+            read_field_data(tmp_path / "other.mat")
     log = cosim.run("pair", set={"scenario.stop": 0.1}, out=tmp_path / "a.mcap")
     convert(LogChoice.of(log), tmp_path / "a.mat")
     with pytest.raises(UsageError, match=r"a\.mat': .*use the log itself"):
@@ -471,22 +483,21 @@ def test_matrices_of_equally_many_rows_are_read(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_damaged_file_of_matlab_is_refused_or_read(tmp_path):
-    """No other error, no crash."""
+def test_a_damaged_trajectory_is_refused_or_read(tmp_path):
+    """No other error, no crash; see test_model_sources for files as MATLAB writes them."""
     path = tmp_path / "a.mat"
-    scipy.io.savemat(path, {"t": T, "y": np.array(Y), "x": np.eye(4), "name": "tank"})
+    good = trajectory()
     rng = np.random.default_rng(0)
     refused = 0
-    for good in (path.read_bytes(), trajectory()):
-        for trial in range(300):
-            damaged = bytearray(good)
-            for place in rng.integers(0, len(good), 3):
-                damaged[place] = rng.integers(256)
-            path.write_bytes(damaged[: rng.integers(len(damaged))] if trial % 5 == 0 else damaged)
-            try:
-                table = read_table(path)
-                for header in table.headers:
-                    table.values(header.position)
-            except UsageError:
-                refused += 1
-    assert refused > 100
+    for trial in range(300):
+        damaged = bytearray(good)
+        for place in rng.integers(0, len(good), 3):
+            damaged[place] = rng.integers(256)
+        path.write_bytes(damaged[: rng.integers(len(damaged))] if trial % 5 == 0 else damaged)
+        try:
+            table = read_table(path)
+            for header in table.headers:
+                table.values(header.position)
+        except UsageError:
+            refused += 1
+    assert refused > 50

@@ -25,6 +25,7 @@ from cosim.scenario.document.document import (
     shipped,
 )
 from cosim.scenario.document.places import key_lines, report
+from tests.scenario.document.written import toml_of
 from tests.scenario.refusals import check_refused
 
 TEXT = find("academic").text
@@ -35,13 +36,6 @@ bounded = settings(
     derandomize=True,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
-
-
-def message_of(text):
-    """Return the message that a text is refused with."""
-    with pytest.raises(CosimError) as caught:
-        parse(Document(text, "x.toml", Path.cwd()))
-    return str(caught.value)
 
 
 def refusal(**arguments):
@@ -134,27 +128,6 @@ def dotted(path):
 
 
 PLACES = [(name, path) for name, tree in TREES.items() for path in paths_of(tree)]
-
-
-def toml_of(value):
-    """Write a value as TOML, as far as TOML has it."""
-    match value:
-        case bool():
-            return str(value).lower()
-        case dict():
-            pairs = [f"{toml_of(str(key))} = {toml_of(item)}" for key, item in value.items()]
-            return "{ " + ", ".join(pairs) + " }"
-        case list() | tuple():
-            return "[" + ", ".join(map(toml_of, value)) + "]"
-        case float():
-            return repr(value)
-        case int():
-            return str(value) if abs(value) < 10**4000 else "9" * 4400
-        case _:
-            letters = [
-                f"\\U{ord(c):08X}" if not 0xD800 <= ord(c) < 0xE000 else "?" for c in str(value)
-            ]
-            return '"' + "".join(letters) + '"'
 
 
 @bounded

@@ -1,27 +1,59 @@
-"""Which table of a scenario a dotted key is in."""
+"""Edits from outside: which table a key is in, elements of lists, values of the command line."""
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import cosim
 from cosim.errors import ScenarioError, UsageError
-from cosim.scenario.document.document import component_in, short
+from cosim.scenario.document.document import component_in, parse_values, parts_of, short
+from cosim.scenario.document.places import written
+from tests.scenario.refusals import check_refused
 
 TABLES = ["scenario", "models", "connections", "truth", "actions", "record", "swap", "components"]
+THETA = [-0.1, -0.3]
+FMU = """
+scenario = { name = "x", stop = 1.0, step = 0.1 }
+[components]
+plant = { kind = "fmu", path = "plant.fmu", start = { gains = [2.0, 0.5], level = 1.0 } }
+"""
+ACTED = """
+scenario = { name = "x", stop = 1.0, step = 0.5 }
+components = { u = { kind = "constant", value = 1.0 } }
+actions = [{ at = 0.5, set = { "u.value" = 3.0 } }]
+"""
+
+
+def loaded(folder, text):
+    """Load a scenario of a text."""
+    path = folder / "x.toml"
+    path.write_text(text)
+    return cosim.load(path)
 
 
 @pytest.fixture
 def tables(tmp_path):
     """Return a scenario with a component of the name of each table."""
-    path = tmp_path / "tables.toml"
     components = [f'{name} = {{ kind = "constant", value = 1.0 }}' for name in TABLES]
     settings = 'scenario = { name = "tables", stop = 0.1, step = 0.1 }'
-    path.write_text("\n".join([settings, "[components]", *components]))
-    return cosim.load(path)
+    return loaded(tmp_path, "\n".join([settings, "[components]", *components]))
+
+
+@pytest.fixture
+def academic():
+    return cosim.load("academic")
+
+
+def tree(scenario):
+    return scenario.document.tree()[0]
 
 
 def final(scenario, changes):
     log = cosim.run(scenario, set=changes)
     return {name: log[f"{name}.y"][-1] for name in TABLES}
+
+
+# --- keys ---
 
 
 def test_a_long_key_is_that_of_a_component_whatever_its_name(tables):
@@ -30,18 +62,15 @@ def test_a_long_key_is_that_of_a_component_whatever_its_name(tables):
     assert final(tables, {f"components.{name}.value": values[name] for name in TABLES}) == values
 
 
-def test_a_short_key_is_in_the_table_where_that_has_the_key(tables):
+def test_a_short_key_is_in_the_table_where_there_is_one(tables):
     """[record] and [scenario] are set, and not the components of their names."""
     edited = tables.set({"record.every": 2, "scenario.stop": 0.4, "scenario.step": 0.2})
     assert edited.file.record.every == 2
     assert edited.file.scenario.stop == 0.4
     assert set(final(edited, {}).values()) == {1.0}
-
-
-@pytest.mark.parametrize("name", TABLES[:-2])
-def test_a_short_key_that_the_table_does_not_have_is_refused(tables, name):
-    with pytest.raises(ScenarioError, match=rf"{name}(\.|\[)value"):
-        cosim.run(tables, set={f"{name}.value": 5.0})
+    for name in TABLES[:-2]:
+        with pytest.raises(ScenarioError, match=rf"{name}(\.|\[)value"):
+            cosim.run(tables, set={f"{name}.value": 5.0})
 
 
 def test_a_swap_names_its_component_in_both_forms(tmp_path):
@@ -65,17 +94,13 @@ def test_a_study_varies_components_of_any_name(tables, tmp_path):
     assert study.table(["sum"])["sum"].to_pylist() == [4.0, 5.0, 5.0, 6.0]
 
 
-def test_an_action_sets_a_component_in_both_forms(tmp_path):
-    """Keys of an action are those of components alone."""
-    text = """
-    scenario = { name = "x", stop = 1.0, step = 0.5 }
-    components = { u = { kind = "constant", value = 1.0 } }
-    actions = [{ at = 0.5, set = { "KEY" = 3.0 } }]
-    """
-    for key in ("u.value", "components.u.value"):
-        path = tmp_path / "x.toml"
-        path.write_text(text.replace("KEY", key))
-        assert cosim.run(path)["u.y"].tolist() == [1.0, 1.0, 3.0]  # behind the step
+@pytest.mark.parametrize("key", ["u.value", "components.u.value"])
+def test_an_action_sets_a_component_in_both_forms(tmp_path, key):
+    """Keys of an action are those of components alone, also in an edit of it."""
+    text = ACTED.replace("u.value", key)
+    assert cosim.run(loaded(tmp_path, text))["u.y"].tolist() == [1.0, 1.0, 3.0]  # behind the step
+    edited = cosim.run(loaded(tmp_path, ACTED), set={f"actions[0].set.{key}": 4.0})
+    assert edited["u.y"][-1] == 4.0
 
 
 @pytest.mark.parametrize(
@@ -92,3 +117,166 @@ def test_the_form_of_a_key_is_one(key, shortest, component):
     """However it was written; a second time changes nothing."""
     assert short(key) == short(short(key)) == shortest
     assert component_in(shortest) == component
+
+
+NAMES = st.text("abcxyz_-", min_size=1, max_size=4)
+PARTS = st.tuples(NAMES, st.lists(st.integers(0, 99), max_size=3))
+
+
+@given(st.lists(PARTS, min_size=1, max_size=4))
+def test_keys_are_read_as_they_are_written(parts):
+    """Names and indices come back, and the parts_of has each as a part."""
+    key = []
+    for name, indices in parts:
+        key += [name, *indices]
+    assert parts_of(written(tuple(key))) == list(map(str, key))
+
+
+# --- elements ---
+
+
+def test_an_element_of_a_list_is_set_alone(academic):
+    """Of lists of tables, of numbers and of rows; the others stay."""
+    edited = academic.set(
+        {
+            "delta.terms[0].theta": -0.2,
+            "components.plant.x_a0[1]": 0.5,
+            "models.academic.A[1][2]": 7.0,
+            "regressor.terms[1]": {"family": "exponential"},
+        }
+    )
+    before, after = tree(academic)["components"], tree(edited)["components"]
+    assert [term["theta"] for term in after["delta"]["terms"]] == [-0.2, -0.3]
+    assert after["plant"]["x_a0"] == [1.0, 0.5]
+    assert tree(edited)["models"]["academic"]["A"] == [[0, 1, 1], [0, -2, 7.0], [1, 0, 1]]
+    first = before["regressor"]["terms"][0]
+    assert after["regressor"]["terms"] == [first, {"family": "exponential"}]
+    assert [term["theta"] for term in before["delta"]["terms"]] == THETA
+    assert edited.specs["delta"].terms[0].theta == -0.2
+
+
+def test_the_later_edit_wins(academic):
+    """A list that is set after its element takes the place of both, and the other way round."""
+    first = academic.set({"plant.x_a0[1]": 0.5, "plant.x_a0": [3.0, 4.0]})
+    assert first.specs["plant"].x_a0 == (3.0, 4.0)
+    assert first.set({"plant.x_a0[1]": 0.5}).specs["plant"].x_a0 == (3.0, 0.5)
+    again = academic.set({"plant.x_a0": [1.0, 2.0]}).set({"plant.x_a0[0]": 9.0})
+    assert again.set({"plant.x_a0": [5.0, 6.0]}).specs["plant"].x_a0 == (5.0, 6.0)
+
+
+@pytest.mark.slow
+def test_a_run_with_an_element_set_is_that_of_the_file_with_it(tmp_path, academic):
+    """Bit for bit, and so is its replay, with an element of its own."""
+    end = {"scenario.stop": 0.05}
+    by_key = cosim.run("academic", set={**end, "delta.terms[1].theta": -0.4, "plant.x_a0[0]": 2.0})
+    terms = [dict(term) for term in tree(academic)["components"]["delta"]["terms"]]
+    terms[1]["theta"] = -0.4
+    whole = cosim.run("academic", set={**end, "delta.terms": terms, "plant.x_a0": [2.0, -1.0]})
+    assert cosim.diff(by_key, whole).equal
+    log = cosim.run("academic", set=end, out=tmp_path / "a.mcap")
+    element = cosim.replay(log, set={"observer.x_a0[1]": 0.25})
+    assert cosim.diff(element, cosim.replay(log, set={"observer.x_a0": [0.0, 0.25]})).equal
+    assert element["observer.x_a"][0, 1] == 0.25
+
+
+def test_the_command_line_takes_such_keys(call, tmp_path):
+    """As --set of a run and of a replay."""
+    run = ["run", "academic", "--stop", "0.02", "--quiet", "--out", "a.mcap"]
+    assert call(*run, "--set", "plant.x_a0[1]=0.5")[0] == 0
+    assert cosim.open_log(tmp_path / "a.mcap")["plant.x_a"][0, 1] == 0.5
+    replay = ["replay", "a.mcap", "--quiet", "--out", "b.mcap"]
+    assert call(*replay, "--set", "observer.x_a0[0]=0.5")[0] == 0
+    assert cosim.open_log(tmp_path / "b.mcap")["observer.x_a"][0, 0] == 0.5
+    code, _, err = call(*replay, "--force", "--set", "plant.x_a0[0]=0.5")
+    assert code == 2
+    assert "--set plant.x_a0[0]: 'plant' is taken from the recording" in err
+
+
+UNKNOWN = [
+    ("delta.terms[2].theta", r"\Aset.*\]: components\.delta\.terms .*'2'; available: 0 to 1\Z"),
+    ("delta.terms[-1].theta", r"components\.delta\.terms .*'-1'; available: 0 to 1"),
+    ("plant.x_a0[0:2]", r"components\.plant\.x_a0 .*'0:2'; available: 0 to 1"),
+    ("plant.x_a0[01]", r"components\.plant\.x_a0 .*'01'; available: 0 to 1"),
+    ("plant.x_a0[]", r"components\.plant\.x_a0 .*''; available: 0 to 1"),
+    ("plant.x_a0[" + 5000 * "1" + "]", r"'1+\.\.\.1+'; available: 0 to 1"),
+    ("models.academic.A[0][3]", r"models\.academic\.A\[0\] .*'3'; available: 0 to 2"),
+    ("models.academic.A[0][0][0]", r"models\.academic\.A\[0\]\[0\]: expected a list, got 0"),
+    ("observer.filter_rate[0]", r"components\.observer\.filter_rate: expected a list, got 1000\.0"),
+    ("plant.x0[0]", r"unknown key 'x0\[0\]'; did you mean 'x0'\?"),
+    ("plant.x_a0[0].x", r"components\.plant\.x_a0\[0\]: expected a table, got 1\.0"),
+    ("delta.terms[0].teta", r"set\['delta\.terms\[0\]\.teta'\]: unknown key"),
+    ("plant.x_a0[1]", r"set\['plant\.x_a0\[1\]'\]: expected a number, got 'a'"),
+    ("plnt.x_a0[1]", r"unknown component 'plnt'; did you mean 'plant'\?"),
+    ("delta[0]", r"expected COMPONENT\.PARAMETER"),
+    ("delta[0].theta", r"unknown component 'delta\[0\]'; did you mean 'delta'\?"),
+]
+
+
+def test_an_unknown_element_is_refused(academic):
+    """The message names the list, and the indices that it has; an empty list has none."""
+    check_refused(UNKNOWN, lambda key: academic.set({key: "a"}), ScenarioError)
+    with pytest.raises(ScenarioError, match=r"plant\.x_a0 .*'0'; none is available"):
+        academic.set({"plant.x_a0": [], "plant.x_a0[0]": 1.0})
+
+
+def test_a_problem_with_the_whole_list_names_the_edit_of_its_element(academic):
+    """What is wrong with all of it may be due to that."""
+    message = r"academic:\d+ \(with set\['observer\.L\[0\]'\]\): .*Hurwitz"
+    with pytest.raises(UsageError, match=message):
+        cosim.run(academic.set({"observer.L[0]": -50.0}))
+
+
+def test_names_of_ports_and_variables_stay_names(tmp_path, academic):
+    """An element of a connected input, and of a variable of an FMU that has a table of starts."""
+    ports = academic.set({"connections.plant.u[0]": "u.y"})
+    assert tree(ports)["connections"]["plant.u[0]"] == "u.y"
+    scenario = loaded(tmp_path, FMU)
+    changed = scenario.set({"plant.start.x[1]": 2.0, "plant.start.gains[1]": 0.75})
+    start = tree(changed)["components"]["plant"]["start"]
+    assert start == {"gains": [2.0, 0.75], "level": 1.0, "x[1]": 2.0}
+    plant = tree(changed.set({"plant.start.x[1]": 3.0, "plant.unit.y[0]": "m"}))["components"]
+    assert plant["plant"]["start"]["x[1]"] == 3.0
+    assert plant["plant"]["unit"] == {"y[0]": "m"}
+    with pytest.raises(ScenarioError, match=r"plant\.start\.level: expected a list, got 1\.0"):
+        scenario.set({"plant.start.level[0]": 2.0})
+
+
+def test_a_table_takes_the_place_of_one_value_for_all():
+    """Units by port, where the file has one unit; so it is in logs of before."""
+    edited = cosim.load("pair").set({"load.unit.y": "N.m"})
+    assert tree(edited)["components"]["load"]["unit"] == {"y": "N.m"}
+
+
+def test_an_action_is_edited_by_either_spelling_of_its_key(tmp_path):
+    """``actions[0]`` is ``actions.0``; a replay refuses both."""
+    scenario = loaded(tmp_path, ACTED)
+    edited = scenario.set({"actions[0].at": 1.0})
+    assert edited.document.changes == {"actions.0.at": 1.0}
+    assert edited.actions[0].at == 1.0
+    with pytest.raises(ScenarioError, match=r"actions has no element '1'; available: 0 to 0"):
+        scenario.set({"actions[1].at": 1.0})
+    with pytest.raises(ScenarioError, match=r"set\['actions\[0\]\.set\.u'\]: .*given twice"):
+        scenario.set({"actions[0].set.u": {"value": 3.0}})
+    log = cosim.run(scenario, out=tmp_path / "x.mcap")
+    with pytest.raises(UsageError, match="actions"):
+        cosim.replay(log, set={"actions[0].at": 1.0})
+
+
+# --- values of the command line ---
+
+VALUES = {
+    "1e3,1e6": [1e3, 1e6],
+    "1": [1],
+    "[0,2,4],[0,2]": [[0, 2, 4], [0, 2]],
+    "{a=1,b=[2,3]},4": [{"a": 1, "b": [2, 3]}, 4],
+    "'a,b',\"c,]\",d": ["a,b", "c,]", "d"],
+    "abs(min(u.y,2)),3": ["abs(min(u.y,2))", 3],
+    "a], b": ["a]", "b"],
+}
+
+
+def test_values_are_split_at_their_own_commas():
+    """Not at those inside lists, tables, calls and strings; none is empty."""
+    assert {text: parse_values(text) for text in VALUES} == VALUES
+    with pytest.raises(UsageError, match="'1,,2'"):
+        parse_values("1,,2")

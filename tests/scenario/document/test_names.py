@@ -1,6 +1,8 @@
-"""Names are words of any language, everywhere that they go."""
+"""Names are words of any language, everywhere that they go; their order is free."""
 
+import random
 import re
+import tomllib
 import unicodedata
 
 import pytest
@@ -11,7 +13,9 @@ import cosim
 from cosim.cli import main
 from cosim.errors import ScenarioError
 from cosim.log.contents.schema import identifiers
+from cosim.scenario.document.document import find
 from cosim.scenario.exporting import model_identifier
+from tests.scenario.document.written import toml_of
 from tests.scenario.refusals import check_refused
 
 SCENARIO = """
@@ -114,3 +118,29 @@ def test_a_component_with_any_name_is_exported(folder):
     (folder / "long.toml").write_text(long, encoding="utf-8")
     assert shell("export", "long.toml", "--component", "温" * 33, "--out", "b.fmu") == 2
     assert not (folder / "b.fmu").exists()
+
+
+def shuffled(text, seed):
+    """Return the text of a scenario with the keys of its tables in another order."""
+    chance = random.Random(seed)
+    lines = []
+    for table, entries in tomllib.loads(text).items():
+        items = list(entries.items())
+        chance.shuffle(items)
+        lines += [f'{table}."{key}" = {toml_of(value)}' for key, value in items]
+    return "\n".join(lines)
+
+
+@pytest.mark.fast("academic-as-printed")
+@pytest.mark.parametrize("name", ["academic", "academic-as-printed", "closed-loop"])
+def test_the_content_hash_does_not_depend_on_the_order_of_a_file(name, tmp_path):
+    """Components, connections and parameters in other orders give the same bits."""
+    hashes = set()
+    text = find(name).text
+    for seed in (None, 1, 2):
+        path = tmp_path / f"{seed}.toml"
+        path.write_text(text if seed is None else shuffled(text, seed))
+        log = tmp_path / f"{seed}.mcap"
+        cosim.run(path, out=log, set={"scenario.stop": 0.5})
+        hashes.add(cosim.open_log(log).content_hash())
+    assert len(hashes) == 1

@@ -199,9 +199,10 @@ def test_the_command_prints_a_table_or_json(call):
 
 def test_the_table_shows_the_best_of_every_choice(designed, capsys):
     """What a design sets stands there as --set takes it."""
-    from cosim.report.tables.preparation import print_design
+    from cosim.report.tables.console import print_shown
+    from cosim.report.tables.preparation import show_design
 
-    print_design(designed, as_json=False)
+    print_shown(show_design(designed), as_json=False)
     out = capsys.readouterr().out
     for text in ("error of theta[1]", "as it is", "of bound", "regressor.delays=[0.0,"):
         assert text in out
@@ -211,7 +212,8 @@ def test_the_table_shows_the_best_of_every_choice(designed, capsys):
 @pytest.mark.slow
 def test_every_choice_has_a_row_or_a_reason(capsys):
     """Steps that the delays do not fit, or too few of them; filters and windows too long to try."""
-    from cosim.report.tables.preparation import print_design
+    from cosim.report.tables.console import print_shown
+    from cosim.report.tables.preparation import show_design
 
     settings = {**TINY, "scenario.step": 0.02}
     design = cosim.design("academic-noisy", set=settings, longest=0.5)
@@ -227,7 +229,7 @@ def test_every_choice_has_a_row_or_a_reason(capsys):
     assert "10 % of the run" in of_filters
     assert "time constants" in of_filters
     assert all(np.isfinite(one.ratio) for one in design.designs if one.choice != "scenario")
-    print_design(design, as_json=False)
+    print_shown(show_design(design), as_json=False)
     out = capsys.readouterr().out
     assert "\nstep: scenario.step=0.1, scenario.step=0.2: not tried: expected 200" in out
     assert all(one.reason in out for one in design.omitted)

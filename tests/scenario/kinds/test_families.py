@@ -127,12 +127,8 @@ def test_wrong_numbers_of_a_term_are_refused(tmp_path):
     def refuse(term):
         cosim.run(source(tmp_path, [f"{{ {term} }}"]))
 
-    check_refused([(term, message) for term, message in WRONG_TERMS], refuse, CosimError)
-
-
-def test_a_disturbance_without_terms_is_refused(tmp_path):
-    """It has no value."""
-    with pytest.raises(CosimError, match=r"terms"):
+    check_refused(WRONG_TERMS, refuse, CosimError)
+    with pytest.raises(CosimError, match="terms"):
         cosim.run(source(tmp_path, []))
 
 
@@ -149,30 +145,12 @@ Bu = [[0], [2], [1]]
 Bd = [[1], [0], [0]]
 C  = [[2, 0, 1]]
 
-[components.u]
-kind = "sine"
-rate = 1.0
-
-[components.delta]
-kind = "disturbance"
-terms = [{source}]
-
-[components.plant]
-kind = "descriptor"
-model = "m"
-x_a0 = [1.0, -1.0]
-
-[components.observer]
-kind = "unknown-input-observer"
-model = "m"
-L = [4.0, 0.0]
-filter_rate = 100.0
-
-[components.regressor]
-kind = "regressor"
-terms = [{terms}]
-delays = {delays}
-
+[components]
+u = {{ kind = "sine", rate = 1.0 }}
+delta = {{ kind = "disturbance", terms = [{source}] }}
+plant = {{ kind = "descriptor", model = "m", x_a0 = [1.0, -1.0] }}
+observer = {{ kind = "unknown-input-observer", model = "m", L = [4.0, 0.0], filter_rate = 100.0 }}
+regressor = {{ kind = "regressor", terms = [{terms}], delays = {delays} }}
 [components.identifier]
 kind = "identifier"
 period = 12.0
@@ -248,17 +226,6 @@ def exponentials(*theta):
     return [{"alpha": alpha, "family": "exponential", "theta": value} for alpha, value in pairs]
 
 
-@pytest.mark.parametrize("method", ["least-squares", "gradient", "drem"])
-def test_the_linear_route_is_refused_from_four_alphas_on(method, tmp_path):
-    """The number of unknowns and the way out are named."""
-    terms = exponentials(-0.05, -0.3, -0.8, -2.0)
-    scenario = identified(tmp_path, terms, [0.4, 0.8, 1.2, 1.6, 2.0], f'method = "{method}"')
-    with pytest.raises(
-        CosimError, match=r'l = 4 with different alphas makes 119 unknowns.*method = "output-error"'
-    ):
-        cosim.run(scenario)
-
-
 def test_what_least_squares_does_not_tell_apart_is_noted(tmp_path, subtests):
     """Rates from pi over the spacing of the delays on, and which exponential is which; no more."""
     sine = {"alpha": ALPHAS[0], "family": "sine", "theta": 2.0}
@@ -295,42 +262,6 @@ def test_five_alphas_are_identified_without_the_expansion(tmp_path):
         cosim.run(scenario)
 
 
-INDISTINGUISHABLE = [
-    (["constant", "constant"], "", r"terms\[0\] \(constant\) and terms\[1\] \(constant\) sha"),
-    (["ramp", "constant"], "", r"both make a constant.*family 'ramp' is the sum of both"),
-    (["sine", "constant"], "bounds = [[0, 0]]", r"both make a constant.*merge them into one"),
-    (["sine", "constant"], "bounds = [[0, 1e-3]]", r"is a straight line in the 12 s of the run"),
-    (
-        ["exponential", "exponential"],
-        "bounds = [[-1, -1], [-1, -1]]",
-        r"both make exp\(-1 t\): no data tell their constants apart",
-    ),
-]
-
-
-def test_terms_that_no_data_tell_apart_are_refused(tmp_path):
-    """Before the run, by families, alphas and bounds."""
-
-    def refuse(case):
-        families, more = case
-        values = {
-            "constant": {"level": 1.0},
-            "ramp": {"level": 1.0, "slope": 1.0},
-            "sine": {"theta": 1.0},
-            "exponential": {"theta": -1.0},
-        }
-        terms = [{"family": family, **values[family]} for family in families]
-        basis = {"ramp": 2, "sine": 2}
-        count = 1 + sum(basis.get(family, 1) for family in families)
-        scenario = identified(
-            tmp_path, terms, [round(0.4 * (j + 1), 1) for j in range(count)], more
-        )
-        cosim.run(scenario)
-
-    cases = [(case, message) for *case, message in INDISTINGUISHABLE]
-    check_refused(cases, refuse, CosimError)
-
-
 def test_a_slow_sine_beside_a_constant_is_identified(tmp_path):
     """A sixth of a period is curved: exact data give its rate."""
     slow = {"family": "sine", "theta": 0.08, "phase": 0.4}
@@ -350,11 +281,11 @@ B = [[1, 1, 0], [0, 0, 1], [0.5, 0, 0]]
 disturbances = [1, 2]
 C = [[1, 0, 0], [0, 1, 0]]
 """
-        + PLANT[PLANT.index("[components.u]") :]
+        + PLANT[PLANT.index("[components]") :]
     )
     .replace("n_a = 2\n", "")
     .replace("x_a0 = [1.0, -1.0]", "x0 = [1.0, -1.0, 0.5]")
-    .replace("L = [4.0, 0.0]\nfilter_rate = 100.0", "poles = [-4.0, -5.0]\nfilter_rate = 200.0")
+    .replace("L = [4.0, 0.0], filter_rate = 100.0", "poles = [-4.0, -5.0], filter_rate = 200.0")
 )
 TWO = [
     {"alpha": "1 + 0.5*sin(1.7*t)", "family": "sine", "theta": 1.3, "phase": 0.4},
@@ -402,22 +333,47 @@ def test_output_error_needs_no_independent_products(terms, tmp_path):
     assert [one.verdict for one in told.parameters] == 2 * ["IDENTIFIABLE"]
 
 
-def test_methods_on_the_regression_refuse_dependent_products(tmp_path):
-    """By the identifier, which says that output error needs none."""
-    scenario = identified(tmp_path, PERIODIC, [1.0, 2.0, 3.0], 'method = "least-squares"')
-    message = r"identifier: .* have rank 1; .*or method = \"output-error\", which needs neither"
-    with pytest.raises(CosimError, match=message):
-        cosim.run(scenario)
+CONSTANT = {"family": "constant", "level": 1.0}
+RAMP = {"family": "ramp", "level": 1.0, "slope": 1.0}
+SINE = {"family": "sine", "theta": 1.0}
+DECAY = {"family": "exponential", "theta": -1.0}
+FOUR = exponentials(-0.05, -0.3, -0.8, -2.0)
+# exp(0.5 t) times the one is the other: (-0.1, -0.3) and (-0.8, 0.4) make the same signal
+EXCHANGED = [{**PERIODIC[0], "alpha": "2"}, {**PERIODIC[1], "alpha": "-exp(-0.5*t)"}]
+UNKNOWNS = r'l = 4 with different alphas makes 119 unknowns.*method = "output-error"'
+INDISTINGUISHABLE = [
+    ([CONSTANT, CONSTANT], "", r"terms\[0\] \(constant\) and terms\[1\] \(constant\) sha"),
+    ([RAMP, CONSTANT], "", r"both make a constant.*family 'ramp' is the sum of both"),
+    ([SINE, CONSTANT], "bounds = [[0, 0]]", r"both make a constant.*merge them into one"),
+    ([SINE, CONSTANT], "bounds = [[0, 1e-3]]", r"is a straight line in the 12 s of the run"),
+    (
+        [DECAY, DECAY],
+        "bounds = [[-1, -1], [-1, -1]]",
+        r"both make exp\(-1 t\): no data tell their constants apart",
+    ),
+    (EXCHANGED, "", r"regressor: .*'2' is a multiple of exp\(0\.5 t\) times alpha .* parameters"),
+    # the linear route, from four alphas on; output error needs no independent products
+    *((FOUR, f'method = "{method}"', UNKNOWNS) for method in ("least-squares", "gradient", "drem")),
+    (
+        PERIODIC,
+        'method = "least-squares"',
+        r"identifier: .* have rank 1; .*or method = \"output-error\", which needs neither",
+    ),
+]
 
 
-def test_terms_that_an_exponential_ratio_of_alphas_exchanges_are_refused(tmp_path):
-    """exp(0.5 t) times the one is the other: (-0.1, -0.3) and (-0.8, 0.4) make the same signal."""
-    terms = [{**PERIODIC[0], "alpha": "2"}, {**PERIODIC[1], "alpha": "-exp(-0.5*t)"}]
-    message = (
-        r"regressor: .*'2' is a multiple of exp\(0\.5 t\) times alpha .* with their parameters"
-    )
-    with pytest.raises(CosimError, match=message):
-        cosim.run(identified(tmp_path, terms, [1.0, 2.0, 3.0]))
+def test_terms_that_no_data_or_not_this_method_tells_apart_are_refused(tmp_path):
+    """Before the run, by families, alphas and bounds."""
+
+    def refuse(case):
+        terms, more = case
+        count = 1 + sum(2 if term["family"] in ("ramp", "sine") else 1 for term in terms)
+        spacing = 1.0 if terms in (PERIODIC, EXCHANGED) else 0.4
+        delays = [round(spacing * (j + 1), 1) for j in range(count)]
+        cosim.run(identified(tmp_path, terms, delays, more))
+
+    cases = [(case, message) for *case, message in INDISTINGUISHABLE]
+    check_refused(cases, refuse, CosimError)
 
 
 def test_elements_may_have_signals_as_alphas(tmp_path):
@@ -433,7 +389,7 @@ def test_elements_may_have_signals_as_alphas(tmp_path):
         text = text.replace(f"alpha = '{alpha}'", f'alpha = {{ from = "{place}" }}')
     expressions = ", ".join(map(repr, places))
     schedule = f'[components.schedule]\nkind = "expression"\ny = [{expressions}]\n'
-    text = text.replace("[components.u]", f"{schedule}[components.u]", 1)
+    text = text.replace("[components.identifier]", f"{schedule}[components.identifier]", 1)
     by_signal = parse(Document(text, "signals", tmp_path))
     short = {"scenario.step": 1.0 / 128.0, "scenario.stop": 4.0, "identifier.period": 1.0}
     expected = cosim.run(by_text, set=short)

@@ -8,25 +8,22 @@ from cosim.errors import CosimError
 from cosim.scenario.exporting import export_component
 from cosim.scenario.record import recorded_identification
 from cosim.testing import check_component
-from tests.scenario.kinds.two_outputs import SCENARIO
-from tests.scenario.online import identifiers
+from tests.scenario.online import TWO_OUTPUTS, identifiers
 from tests.scenario.refusals import check_refused
 
 SIGMA = np.array([0.1, 1e-3])
 
 
 @pytest.fixture(scope="module")
-def two(tmp_path_factory):
-    """Return the path of the scenario."""
-    path = tmp_path_factory.mktemp("two") / "two.toml"
-    path.write_text(SCENARIO, encoding="utf-8")
-    return path
+def two():
+    """Return the scenario."""
+    return cosim.load("academic-noisy").set(TWO_OUTPUTS)
 
 
 @pytest.fixture(scope="module")
-def log(two):
+def log(two, tmp_path_factory):
     """Run it with nothing stated."""
-    return cosim.run(two, out=two.with_name("two.mcap"))
+    return cosim.run(two, out=tmp_path_factory.mktemp("two") / "two.mcap")
 
 
 def verdicts(log):
@@ -95,7 +92,7 @@ def test_the_contract_is_kept(options, two, log):
     settings = {**own, "scenario.stop": 1.5, "identifier.period": 0.5}
     columns = [log[name] for name in ("regressor.mu", "observer.delta", "sensor.y", "u.y")]
     inputs = np.hstack([np.reshape(rows, (len(rows), -1)) for rows in columns])
-    make = identifiers(str(two), settings)
+    make = identifiers(two, settings)
     check_component(make, inputs=np.ascontiguousarray(inputs[:151]), h=1e-2)
     assert cosim.diff(log, cosim.replay(log.path)).equal
 
@@ -145,7 +142,7 @@ def test_kalman_filters_take_one_deviation_an_output(method, two):
 def test_an_exported_identifier_has_the_same_bits(two, log, tmp_path):
     """The weights are estimated by the same kernel in both homes."""
     fmu = tmp_path / "identifier.fmu"
-    export_component(str(two), "identifier", fmu)
+    export_component(two, "identifier", fmu)
     settings = {"identifier.interface_type": "cs", "scenario.stop": 8.0}
     run = cosim.run(two, swap={"identifier": fmu}, set=settings)
     for signal in ("identifier.theta", "identifier.standard_error", "identifier.deviation"):

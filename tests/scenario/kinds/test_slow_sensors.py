@@ -9,7 +9,7 @@ from cosim.scenario.document.document import find
 from cosim.scenario.exporting import export_component
 from cosim.scenario.record import recorded_identification
 from cosim.scenario.running.identifying import identifier_record, identify_records
-from tests.scenario.kinds.two_outputs import SCENARIO as TWO
+from tests.scenario.online import TWO_OUTPUTS
 from tests.scenario.refusals import check_refused
 
 H = 1e-2  # s
@@ -188,40 +188,25 @@ def test_other_methods_get_no_verdict_on_held_samples():
     assert "y has values between the samples of 'sensor'" in verdicts(log).problem
 
 
-def two_sensors(tmp_path, second):
-    """Write a scenario with a sensor for each output; return its path."""
-    sensors = f"""
-[components.first]
-kind = "sensor"
-noise = 0.1
-seed = 1
-period = 0.1
-[components.second]
-kind = "sensor"
-noise = 1e-3
-seed = 2
-{second}
-[components.observer]
-"""
-    begin = TWO.index("[components.sensor]")
-    text = TWO[:begin] + sensors + TWO[TWO.index("[components.observer]") + 22 :]
-    text = text.replace(
-        '"sensor.u" = "plant.y"', '"first.u" = "plant.y[0]"\n"second.u" = "plant.y[1]"'
-    )
-    text = text.replace('"observer.y" = "sensor.y"', '"observer.y" = ["first.y", "second.y"]')
-    path = tmp_path / "two.toml"
-    path.write_text(text, encoding="utf-8")
-    return path
+FIRST = {"kind": "sensor", "noise": 0.1, "seed": 1, "period": PERIOD}
+SECOND = {"kind": "sensor", "noise": 1e-3, "seed": 2}
 
 
-@pytest.mark.fast("period = 0.1-201", "period = 0.03-667")
+@pytest.mark.fast("second1-201", "second3-667")
 @pytest.mark.parametrize(
     ("second", "samples"),
-    [("", 2001), ("period = 0.1", 201), ("period = 0.05", 401), ("period = 0.03", 667)],
+    [({}, 2001), ({"period": PERIOD}, 201), ({"period": 0.05}, 401), ({"period": 0.03}, 667)],
 )
 def test_each_sensor_counts_at_its_own_times(tmp_path, second, samples):
     """At every point, in turn with the other or not; a later fit of the log is that of the run."""
-    log = cosim.run(two_sensors(tmp_path, second), out=tmp_path / "two.mcap")
+    sensors = {
+        "components.first": FIRST,
+        "components.second": {**SECOND, **second},
+        "connections.first.u": "plant.y[0]",
+        "connections.second.u": "plant.y[1]",
+        "connections.observer.y": ["first.y", "second.y"],
+    }
+    log = cosim.run("academic-noisy", set={**TWO_OUTPUTS, **sensors}, out=tmp_path / "two.mcap")
     np.testing.assert_allclose(verdicts(log).deviation, [0.1, 1e-3], rtol=0.2)
     check_online(log, 0.2)
     record = identifier_record(log)
@@ -236,11 +221,13 @@ def test_an_output_without_a_sensor_counts_at_every_point(tmp_path, bare):
     """Beside one that a sensor samples every 0.1 s, before it or behind it in y."""
     sources = ["first.y", "first.y"]
     sources[bare] = f"plant.y[{bare}]"
-    text = two_sensors(tmp_path, "").read_text(encoding="utf-8")
-    text = text.replace('["first.y", "second.y"]', str(sources).replace("'", '"'))
-    path = tmp_path / "one.toml"
-    path.write_text(text.replace("plant.y[0]", f"plant.y[{1 - bare}]", 1), encoding="utf-8")
-    log = cosim.run(path, set={"scenario.stop": 1.0}, out=tmp_path / "one.mcap")
+    sensor = {
+        "components.first": FIRST,
+        "connections.first.u": f"plant.y[{1 - bare}]",
+        "connections.observer.y": sources,
+        "scenario.stop": 1.0,
+    }
+    log = cosim.run("academic-noisy", set={**TWO_OUTPUTS, **sensor}, out=tmp_path / "one.mcap")
     record = identifier_record(log)
     counts = [11, 11]
     counts[bare] = 101

@@ -206,6 +206,7 @@ def test_a_session_records_what_its_scenario_says(whole, tmp_path):
         (record(["plant.yy"]), "'plant' has no signal 'yy'; did you mean 'y'"),
         (record([]), r"record\.signals'\]: expected at least 1.*, got \[\]"),
         (record("plant.y"), r"record\.signals'\]: expected a list, got 'plant.y'"),
+        (record([1]), r"record.signals\[0\]: expected a string, got 1"),
         (record(["plant.x_a[0]"]), r"whole signals, such as 'plant.x_a', got 'plant.x_a\[0\]'"),
         (record(every=0), r"record\.every'\]: expected .*>= 1, got 0"),
         (record(every=2.5), r"record\.every'\]: expected a whole number, got 2\.5"),

@@ -14,20 +14,10 @@ name = "sampled"
 stop = 1.0
 step = 0.01
 
-[components.reference]
-kind = "ramp"
-slope = 1.0
-
-[components.controller]
-kind = "controller"
-A = [[-20.0]]
-B = [[20.0]]
-C = [[1.0]]
-period = {period}
-
-[components.lag]
-kind = "lag"
-time_constant = 0.5
+[components]
+reference = {{ kind = "ramp", slope = 1.0 }}
+controller = {{ kind = "controller", A = [[-20.0]], B = [[20.0]], C = [[1.0]], period = {period} }}
+lag = {{ kind = "lag", time_constant = 0.5 }}
 
 [connections]
 "controller.u" = "reference.y"

@@ -25,6 +25,18 @@ stop = 2.0
 step = 1e-3
 coupling = "gauss-seidel"
 
+[components]
+jumps = { kind = "expression", discrete = true, y = ["sign(sin(9*t) - t/3)", "step(t - 1)"] }
+noise = { kind = "noise", deviation = 0.1, seed = 7, size = 20 }
+sine = { kind = "sine", rate = 30.0, phase = 0.1, unit = "deg" }
+chirp = { kind = "chirp", rate = 3.0, sweep = 40.0 }
+ramp = { kind = "ramp", slope = 0.7, start_time = 0.3 }
+jump = { kind = "step", time = 0.5, after = 0.7 }
+lag = { kind = "lag", time_constant = 0.07, unit = "rad" }
+error = { kind = "sum", signs = [1, -0.7] }
+loop = { kind = "lag", time_constant = 0.3 }
+filtered = { kind = "lag", time_constant = 0.011, size = 20 }
+
 [components.functions]
 kind = "expression"
 y = [
@@ -33,38 +45,6 @@ y = [
   "(0.3 + t)**2.7", "sqrt(t)", "abs(t - 1)",
   "min(t, 1/3) + max(t, pi)",
 ]
-
-[components.jumps]
-kind = "expression"
-discrete = true
-y = ["sign(sin(9*t) - t/3)", "step(t - 1)"]
-
-[components.noise]
-kind = "noise"
-deviation = 0.1
-seed = 7
-size = 20
-
-[components.sine]
-kind = "sine"
-rate = 30.0
-phase = 0.1
-unit = "deg"
-
-[components.chirp]
-kind = "chirp"
-rate = 3.0
-sweep = 40.0
-
-[components.ramp]
-kind = "ramp"
-slope = 0.7
-start_time = 0.3
-
-[components.jump]
-kind = "step"
-time = 0.5
-after = 0.7
 
 [components.table]
 kind = "table"
@@ -77,15 +57,6 @@ terms = [
   { alpha = "1.35 + 0.25*sin(1.7*t)", family = "exponential", theta = -0.1, amplitude = 1.3 },
   { alpha = "1.1 + 0.2*cos(2.3*t)", family = "sine", theta = 2.3, phase = 0.4 },
 ]
-
-[components.lag]
-kind = "lag"
-time_constant = 0.07
-unit = "rad"
-
-[components.error]
-kind = "sum"
-signs = [1, -0.7]
 
 [components.sensor]
 kind = "sensor"
@@ -106,15 +77,6 @@ A = [[-3.1, 0.3], [0.7, -1.9]]
 B = [[1.1], [0.3]]
 C = [[0.9, -0.4]]
 D = [[0.1]]
-
-[components.loop]
-kind = "lag"
-time_constant = 0.3
-
-[components.filtered]
-kind = "lag"
-time_constant = 0.011
-size = 20
 
 [connections]
 "lag.u" = "sine.y"

@@ -16,7 +16,8 @@ import cosim
 from cosim.errors import RunError, ScenarioError
 from cosim.fmi.binary.loaded import LoadedInstance
 from cosim.fmi.reading import model_description
-from cosim.report.tables.preparation import print_dry_run
+from cosim.report.tables.console import print_shown
+from cosim.report.tables.preparation import show_dry_run
 from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import find
 from cosim.scenario.exporting import export_component
@@ -285,7 +286,7 @@ def test_the_replaced_component_need_not_work(folder, capsys):
     ((component, text),) = found.warnings
     assert component == "plant"
     assert "cannot be compared with what it replaces, which cannot be built: x_a0" in text
-    print_dry_run(found, as_json=True)
+    print_shown(show_dry_run(found), as_json=True)
     assert {"of": "plant", "text": text} in json.loads(capsys.readouterr().out)["warnings"]
 
 
@@ -293,7 +294,7 @@ def test_the_replaced_component_need_not_work(folder, capsys):
 def test_a_dry_run_has_rows_proposals_and_problems_for_programs(folder, capsys):
     """What stops the run is a problem; the rest are differences, in words or as JSON."""
     reports = report(folder, "other.fmu")
-    print_dry_run(reports, as_json=True)
+    print_shown(show_dry_run(reports), as_json=True)
     found = json.loads(capsys.readouterr().out)
     assert set(found) == {"swaps", "problems", "imported", "warnings"}
     assert set(found["swaps"]["plant"]) == {"ports", "proposals"}
@@ -306,7 +307,7 @@ def test_a_dry_run_has_rows_proposals_and_problems_for_programs(folder, capsys):
     assert "map={'plant.y': 'out1'}" in options
     assert found["problems"] == reports.refusals != []
     reports = report(folder, "other.fmu", MAP)
-    print_dry_run(reports, as_json=False)
+    print_shown(show_dry_run(reports), as_json=False)
     out = capsys.readouterr().out
     assert f"the scenario can run; rows that differ: {reports.different}" in out
 

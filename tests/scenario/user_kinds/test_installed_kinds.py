@@ -9,7 +9,8 @@ import cosim
 from cosim.errors import ScenarioError
 from cosim.log import open_log
 from cosim.report.inspection import describe_scenario
-from cosim.report.tables.catalog import print_catalog, print_kind
+from cosim.report.tables.catalog import show_catalog, show_kind
+from cosim.report.tables.console import print_shown
 from cosim.report.verification import verify
 from tests.scenario.user_modules import RELAY, THERMOSTAT, write
 
@@ -58,11 +59,11 @@ def test_an_entry_point_makes_a_kind(site):
 
 
 def test_nothing_is_imported_to_list_or_show_it(site, capsys):
-    print_catalog(as_json=True)
+    print_shown(show_catalog(), as_json=True)
     entry = {"kind": "relay", "class_name": "relay_parts.thermostats:Relay"}
     entry |= {"distribution": "relay_package 1.0", "refused": None}
     assert json.loads(capsys.readouterr().out)["installed"] == [entry]
-    print_kind("relay", as_json=False)
+    print_shown(show_kind("relay"), as_json=False)
     text = capsys.readouterr().out
     assert "relay: relay_parts.thermostats:Relay, of relay_package 1.0" in text
     assert "parameters: those of its constructor; nothing is imported here" in text
@@ -120,11 +121,11 @@ def test_an_entry_point_that_makes_no_kind_is_listed_with_the_reason(
 ):
     """The name of a shipped kind stays with it: what is installed does not change a file."""
     install(site, package, entry)
-    print_catalog(as_json=False)
+    print_shown(show_catalog(), as_json=False)
     lines = capsys.readouterr().out.splitlines()
     (line,) = [line for line in lines if f"\t{package} 1.0" in line]
     assert f"refused: {reason}" in line
-    print_kind("gain", as_json=False)
+    print_shown(show_kind("gain"), as_json=False)
     assert "relay_parts" not in capsys.readouterr().out
 
 
