@@ -33,11 +33,9 @@ INITIAL: Final = "initial output"
 NOMINAL: Final = "nominal"
 _WORST_FIRST: Final[tuple[PortVerdict, ...]] = ("error", "differs", "unknown", "ok")
 _SAME: Final = 1e-9  # relative difference up to which two numbers are the same
-_ROUNDING: Final = (
-    1e-6  # smaller numbers are compared as if they were it: what rounding leaves of 0
-)
+_ROUNDING: Final = 1e-6  # smaller numbers are compared as if they were as large
 
-_KnownNumbers: TypeAlias = Sequence[float] | Vector | None  # None: not known
+_PortElements: TypeAlias = Sequence[float] | Vector | None  # None: unknown
 
 
 class Entry(NamedTuple):
@@ -346,7 +344,7 @@ def _numbers(aspect: str, old: ComparedPort, new: ComparedPort) -> ComparedAspec
     return ComparedAspect("", aspect, before, new.values(aspect), verdict, ratio=ratio)
 
 
-def _ratio(before: _KnownNumbers, converted: _KnownNumbers) -> float | None:
+def _ratio(before: _PortElements, converted: _PortElements) -> float | None:
     """Return the ratio of the largest numbers; None: one of them is zero, or not known."""
     if before is None or converted is None:
         return None
@@ -394,7 +392,7 @@ def _in_unit_of(old: ComparedPort, new: ComparedPort, aspect: str) -> Vector | N
 
 
 def _same_values(
-    old: _KnownNumbers, new: _KnownNumbers, error: float = _SAME, *, least: float = 1.0
+    old: _PortElements, new: _PortElements, error: float = _SAME, *, least: float = 1.0
 ) -> PortVerdict:
     """Compare numbers relative to the largest, but at least to ``least``."""
     if old is None or new is None:

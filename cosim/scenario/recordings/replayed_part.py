@@ -218,9 +218,8 @@ class _PartSearch:
     def _closes_copied_loop(self, to: Port) -> bool:
         """Return whether an input closes a loop of which nothing is computed."""
         loop = self._loops[to.component]
-        if len(loop) == 1 or not loop.isdisjoint(self._computed):
-            return False
-        return any(source.component in loop for source in self._sources(to))
+        is_copied = loop.isdisjoint(self._computed)
+        return is_copied and any(source.component in loop for source in self._sources(to))
 
     def _missing_source(self, to: Port) -> Port | None:
         """Return a source of an input that is not there."""
