@@ -170,7 +170,7 @@ def run_python(text: str) -> tuple[str, dict[str, Any]]:
 def run_page(text: str, *, alone: bool = False) -> Iterator[tuple[Shown, Block]]:
     """Run a page in the working directory; yield what it shows beside what is printed."""
     found = blocks(text)
-    for block, following in zip(found, [*found[1:], None], strict=True):
+    for block, following in zip(found, [*found[1:], None], strict=bool(found)):
         if block.file is not None:
             Path(block.file).write_text(block.text, encoding="utf-8")
         elif block.language == "python":
