@@ -93,6 +93,7 @@ def test_a_run_is_shown_while_it_goes_on(start, files):
         assert fields(message) == rows[time_ns]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("files")
 @pytest.mark.parametrize("command", ["play a.mcap", "run academic --stop 0.01 --live"])
 def test_a_port_in_use_is_one_clear_error(call, command):

@@ -175,6 +175,7 @@ STUDIES = {
     f"tune lag.toml {GOAL} {VARY} --standard-errors": "--standard-errors: .* rms ",
 }
 WRONG = OPTIONS | FILES | NO_LOG | UNRECORDED | STUDIES
+WITH_VIEWERS = [line for line in WRONG if line.startswith("play")]  # need the SDK of viewers
 
 
 def contents(folder):
@@ -182,7 +183,10 @@ def contents(folder):
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-@pytest.mark.parametrize("line", WRONG)
+@pytest.mark.parametrize(
+    "line",
+    [pytest.param(line, marks=[pytest.mark.slow] * (line in WITH_VIEWERS)) for line in WRONG],
+)
 def test_wrong_use_is_refused(call, files, line):
     """Exit 2, nothing on stdout, no file touched, and the names in a message without traceback."""
     before = contents(files)

@@ -105,7 +105,7 @@ def parse_value(text: str) -> Any:
         If it is TOML, but nested too deep, or a number has too many digits.
     """
     try:
-        table = plain(_read_toml(f"value = {text}"), -1)
+        table = plain(_read_toml(f"value = {text}"), -1, dates=True)
     except UsageError as error:
         raise UsageError(f"{quoted(text)}: {error}") from error
     except tomllib.TOMLDecodeError:
@@ -139,8 +139,16 @@ def parse_values(text: str) -> list[Any]:
     return [parse_value(part.strip()) for part in parts]
 
 
-def plain(value: Any, level: int = 0) -> Any:
+def plain(value: Any, level: int = 0, *, dates: bool = False) -> Any:
     """Return a copy of a value as TOML could have it: arrays and tuples as lists.
+
+    Parameters
+    ----------
+    value : object
+    level : int
+        Of tables and lists around it.
+    dates : bool
+        Whether dates and times stay, which a schema refuses at their places.
 
     Raises
     ------
@@ -153,18 +161,18 @@ def plain(value: Any, level: int = 0) -> Any:
         case bool() | int() | float() | str() if not isinstance(value, np.generic):
             return value
         case list() | tuple():
-            return [plain(item, level + 1) for item in value]
+            return [plain(item, level + 1, dates=dates) for item in value]
         case Mapping():
             wrong = [key for key in value if not isinstance(key, str)]
             if wrong:
                 raise UsageError(f"expected a string as key of a table, got {quoted(wrong[0])}")
-            return {key: plain(item, level + 1) for key, item in value.items()}
+            return {key: plain(item, level + 1, dates=dates) for key, item in value.items()}
         case np.ndarray() | np.generic():
-            return plain(value.tolist(), level + 1)
+            return plain(value.tolist(), level + 1, dates=dates)
         case complex():
             return str(value)  # as TOML can have it
-        case date() | time():
-            return value  # no table takes one: its schema refuses it at its place
+        case date() | time() if dates:
+            return value
     raise UsageError(
         f"expected a number, true or false, a string, a list or a table, got {quoted(value)}"
     )
@@ -489,7 +497,7 @@ class Document:
             If the text is no TOML.
         """
         try:
-            tree = plain(_parsed(self.text), -1)
+            tree = plain(_parsed(self.text), -1, dates=True)
         except UsageError as error:
             raise ScenarioError(f"{self.source}: {error}") from error
         except tomllib.TOMLDecodeError as error:
