@@ -1,25 +1,17 @@
 """Scenarios: one TOML file that names components, connections and a clock.
 
-In the order in which a file passes through it::
+Its rooms, each of which imports only those above it (``tests/test_architecture.py``)::
 
     document/      the text: its tables and their schema, where its keys stand, edits and swaps
-    kinds/         what components are made of: with data_files/, user_kinds/ of users, and
-                   identification/, the model and the verdicts of identifiers
-    parsing        the tables of the text, checked by themselves
-    context/       what components are built with: models, files, other components
-    actions/       what happens in a run, checked against the components, and where it ends
-    building/      the graph and the clock, the gain of loops
-    swapping/      swapped components beside those that they replace
-    preparing      all of that, for a run
-    recordings/    what is kept of a run, and what a replay takes from there
-    certification/ runs with finer steps: the error of the coupling
-    running/       runs at once, paced, or begun to be advanced by hand
+    data_files/    tables of samples as the field writes them
+    record         the documents that a recording keeps beside its signals, read back
+    session        a scenario that is advanced by hand
+    kinds/         the tables of components, and what these are built with
+    building/      from tables to a graph and a clock; actions; the gain of loops
+    recordings/    what is kept of a run, what a replay takes from there, reports of swaps
+    running/       runs, replays, certificates, identification from logs
     exporting      a component as an FMU
-    identifying, assumptions/, experiment_design/
-                   what is asked of a log or a scenario beside its run
+    assumptions/, experiment_design/
+                   what is asked of a scenario before its run
     library/       the shipped scenarios
-
-Below them all stand ``record``, the documents that a recording keeps beside
-its signals and how they are read back, and ``session``, what advances a scenario by hand. A
-room imports only those above it in this list (``tests/test_architecture.py``).
 """

@@ -316,7 +316,7 @@ def _parts(member: StudyMember) -> list[str]:
 
 def _codes(experiment: Experiment) -> dict[str, str]:
     """Return the SHA-256 of the classes of users, by name."""
-    tables = [table["code"] for table in experiment.metadata.values() if "code" in table]
+    tables = [table["code"] for table in experiment.built.metadata.values() if "code" in table]
     return {f"{CODE}{code['class']}": digest_of(code) for code in tables}
 
 

@@ -204,7 +204,7 @@ def _unknown_samples(subject: StudySubject, run: Memory, signals: Iterable[str],
                 'rows between them are not known; of kind "field-data" they are'
             )
         followed.add(name)
-        names += scenario.sources_of(name) if spec.is_static else []
+        names += scenario.drivers[name] if spec.hands_on_lag else []
     channels = [run.channels[name] for name in followed.intersection(run.channels)]
     for name in sorted(f"{c.name}.{s.name}" for c in channels for s in c.interface.outputs):
         samples = _samples(run, find_signal(run.channels, name, source=run.label))

@@ -63,7 +63,7 @@ class Beginning:
     ----------
     builder : Builder
     scenario : Scenario
-    context : ScenarioBuildContext
+    context : BuildContext
         What the components were built in.
     designs : dict of component name to Design
         Those that were computed to be checked.
@@ -139,7 +139,7 @@ class Beginning:
         except RunError as error:
             raise AssumptionError(str(error)) from error
         finally:
-            fmus = self._experiment.fmus
+            fmus = self._experiment.built.fmus
             self.noted += warnings_among({name: fmu.drain() for name, fmu in fmus.items()})
         self._row = row
         count = len(graph.components)

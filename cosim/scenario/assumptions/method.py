@@ -31,6 +31,7 @@ from cosim.scenario.kinds.identification_source import IdentifierSource, start_t
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
 from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
 from cosim.scenario.kinds.terms import element_count, families_of
+from cosim.theory.assessment.accuracy import STEPS_CHECKED
 from cosim.theory.compensation.activation import Activation
 from cosim.theory.compensation.design import CompensatorGains
 from cosim.theory.compensation.state_feedback import slowest_rate, unreached_modes
@@ -228,7 +229,9 @@ def _alphas(name: str, kind: RegressorKind, beginning: Beginning) -> Evidence:
         if len(part.groups) < 2:
             text = f"one alpha for all terms: {names}"
         elif part.known.unknown:
-            text = f"{names}: known only during the run, which checks them at its end"
+            text = (
+                f"{names}: known only during the run, which checks them where it judges estimates"
+            )
         elif part.needs_independence:
             times = part.times_before(context.clock)
             sampled = part.known(times.ravel()).reshape(*times.shape, len(part.groups))
@@ -284,10 +287,14 @@ def _step(name: str, beginning: Beginning) -> Evidence:
     source = IdentifierSource(name, context)
     source.check_step()
     evidence = "the alphas are signals of the run, interpolated linearly between its points"
-    if source.regression.known.names:
+    known = source.regression.known.names
+    if known:
         evidence = (
-            f"over a step of {context.h:g} s linear interpolation of every alpha is within 1 %"
+            f"over a step of {context.h:g} s linear interpolation of "
+            f"{', '.join(map(repr, known))} is within 1 %"
         )
+        if context.clock.steps > STEPS_CHECKED:
+            evidence += f" in the first {STEPS_CHECKED} steps"
     return evidence, {"step": context.h}
 
 

@@ -25,13 +25,11 @@ from cosim.blocks.declared import Declared, with_units
 from cosim.core.clock import whole_steps
 from cosim.core.conditions import Condition
 from cosim.core.contracts import Component, Design, Stopped
-from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.recording import Recording, SignalEvent
 from cosim.core.signals import FaultKind, Interface
 from cosim.core.stages.overrides import checked_values
 from cosim.core.stepping.actions import (
-    AT_CONDITION,
     NO_VARIANTS,
     ActedOn,
     Action,
@@ -58,7 +56,7 @@ from cosim.errors import (
     quoted,
 )
 from cosim.instants import StepNs
-from cosim.log.contents.metadata import decode_design, encode_design
+from cosim.log.contents.metadata import decode_design
 from cosim.native.numerics.expression import compile_condition
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.places import Key, Problem
@@ -660,41 +658,6 @@ def recorded_settings(
             where = f"{name!r} at t = {time_ns / 1e9} s"
             raise LogError(f"the recorded event of {where} does not match: {error}") from error
     return actions
-
-
-def prepare_settings(
-    graph: Graph,
-    step_ns: StepNs,
-    settings: Mapping[tuple[int, str], Action],
-    recorded: Mapping[str, Design],
-) -> dict[str, str]:
-    """Prepare the components that take the places of others; return their designs for the log.
-
-    Parameters
-    ----------
-    graph : Graph
-    step_ns : int
-        Communication step [ns].
-    settings : mapping of (int, str) to Action
-        By time [ns] and component; ``AT_CONDITION`` where the time is not known.
-    recorded : mapping of record to Design
-        Those to use instead of computing them.
-
-    Raises
-    ------
-    GraphError, AssumptionError
-        If one cannot take the place of the other, or not be designed.
-    """
-    designs = {}
-    for (time_ns, name), action in settings.items():
-        for component in action.variants.values():
-            key = f"{time_ns} {name}"
-            taken = recorded.get(key) or recorded.get(f"{AT_CONDITION} {name}") or {}
-            design = graph.prepare_variant(
-                name, component, step_ns, taken, transfers=action.transfers
-            )
-            designs[key] = encode_design(design)
-    return designs
 
 
 def recorded_designs(recording: Recording) -> dict[str, Design]:

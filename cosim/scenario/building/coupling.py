@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from graphlib import CycleError, TopologicalSorter
 from typing import Any, Final
 
 import numpy as np
@@ -31,6 +30,7 @@ from cosim.core.linearization import Linearized
 from cosim.core.port import Port
 from cosim.core.recording import Plan
 from cosim.core.stepping.actions import AT_CONDITION
+from cosim.core.structure.cycles import find_cycle
 from cosim.errors import CosimError, listing
 from cosim.instants import step_value
 from cosim.scenario.building.experiment import Experiment
@@ -76,7 +76,7 @@ def with_loop_gains(experiment: Experiment, rebuild: Callable[[], Experiment]) -
     """
     graph = experiment.graph
     clock = experiment.clock
-    fmus = experiment.fmus
+    fmus = experiment.built.fmus
     own = () if experiment.built.modules else graph.components.keys() - fmus.keys()
     is_to_begin = LinearizedLoops.may_be_known(graph) or may_be_unresolved(graph, own)
     if not (is_to_begin or any(stage.is_loop for stage in graph.stages)):
@@ -228,11 +228,7 @@ def _is_closed(gain: LoopGain, scenario: Scenario) -> bool:
     names = {name for name in gain.components if not scenario.specs[name].is_recorded}
     if len(names) == len(gain.components):
         return True
-    try:
-        TopologicalSorter({name: scenario.sources_of(name) & names for name in names}).prepare()
-    except CycleError:
-        return True
-    return False
+    return bool(find_cycle({name: scenario.drivers[name] & names for name in names}))
 
 
 @dataclass

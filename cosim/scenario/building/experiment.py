@@ -14,8 +14,9 @@ from cosim.core.gain.loop_gain import LoopGain
 from cosim.core.graph import Graph
 from cosim.core.recording import Plan, SignalEvent
 from cosim.core.signals import Channel
-from cosim.core.stepping.actions import Action, ConditionalAction, TimedAction
+from cosim.core.stepping.actions import AT_CONDITION, Action, ConditionalAction, TimedAction
 from cosim.instants import step_value
+from cosim.log.contents.metadata import encode_design
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.kinds.base import BuildContext
 from cosim.scenario.kinds.identified_plant import IdentifiedPlant
@@ -25,7 +26,6 @@ from cosim.scenario.record import ReplayOrigin
 if TYPE_CHECKING:
     from cosim.blocks.port_map import PortMap
     from cosim.fmi.binary.messages import Message
-    from cosim.fmi.component import Fmu
 
 
 def warnings_among(messages: Mapping[str, Sequence[Message]]) -> list[tuple[str, str]]:
@@ -115,25 +115,23 @@ class Experiment:
     uncomputed: Mapping[str, str] = field(default_factory=dict)
 
     @property
-    def metadata(self) -> dict[str, dict[str, Any]]:
-        """What the log keeps of a component, by its name."""
-        return self.built.metadata
-
-    @property
-    def fmus(self) -> Mapping[str, Fmu]:
-        """What was opened for this run and may have messages."""
-        return self.built.fmus
-
-    @property
-    def warnings(self) -> tuple[tuple[str, str], ...]:
-        """What it warns of before its first step, each with its component."""
-        return tuple(self.built.warnings)
-
-    @property
     def has_events(self) -> bool:
         """Whether there may be events: actions, those of a recording, outputs that jump."""
         acts = self.events or self.actions or self.reactions
         return bool(acts or self.graph.layout.jumping)
+
+    def prepare_settings(self, recorded: Mapping[str, Design]) -> dict[str, str]:
+        """Prepare."""
+        designs = {}
+        for (time_ns, name), action in self.settings.items():
+            for component in action.variants.values():
+                key = f"{time_ns} {name}"
+                taken = recorded.get(key) or recorded.get(f"{AT_CONDITION} {name}") or {}
+                design = self.graph.prepare_variant(
+                    name, component, self.clock.step_ns, taken, transfers=action.transfers
+                )
+                designs[key] = encode_design(design)
+        return designs
 
 
 def fingerprint(scenario: Scenario, name: str, reads: frozenset[str]) -> str:

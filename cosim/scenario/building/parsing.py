@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -13,6 +14,7 @@ from pydantic import BaseModel, ValidationError
 from cosim.arguments import mapping_argument, swap_argument
 from cosim.core.connections import ONE_SOURCE, Connection, components_driving
 from cosim.core.port import Port
+from cosim.core.structure.cycles import reached_from
 from cosim.errors import CosimError, GraphError, nearest, quoted
 from cosim.scenario.document.document import Document
 from cosim.scenario.document.places import Key, Problem
@@ -61,7 +63,7 @@ class Scenario:
     notes : tuple of (component name, text)
         What becomes of the inputs of components that follow none.
     starter : callable or None
-        Starts the scenario (:mod:`cosim.scenario.running.starting`); None: it is only read here.
+        Starts the scenario (:mod:`cosim.scenario.running.execution`); None: it is only read here.
     """
 
     document: Document
@@ -97,26 +99,18 @@ class Scenario:
         """Return the components that drive an input, as a whole or by its elements."""
         return components_driving(self.connections, to)
 
-    def sources_of(self, component: str) -> frozenset[str]:
-        """Return the components that drive any input of a component."""
-        drivers: set[str] = set()
+    @cached_property
+    def drivers(self) -> dict[str, set[str]]:
+        """The components that drive any input of each component."""
+        drivers: dict[str, set[str]] = {name: set() for name in self.specs}
         for to, connection in self.connections.items():
-            if to.component == component:
-                drivers.update(source.component for source in connection.sources)
-        return frozenset(drivers)
+            sources = {source.component for source in connection.sources}
+            drivers.setdefault(to.component, set()).update(sources)
+        return drivers
 
     def upstream(self, component: str) -> Scenario:
         """Return the scenario of a component and of all that it depends on, without the others."""
-        drivers: dict[str, set[str]] = {}
-        for to, connection in self.connections.items():
-            sources = {source.component for source in connection.sources}
-            drivers.setdefault(to.component, sources).update(sources)
-        needed: set[str] = set()
-        waiting = {component}
-        while waiting:
-            name = waiting.pop()
-            needed.add(name)
-            waiting |= drivers.get(name, set()) - needed
+        needed = reached_from([component], self.drivers)
         connections = {to: c for to, c in self.connections.items() if to.component in needed}
         specs = {name: spec for name, spec in self.specs.items() if name in needed}
         return replace(self, specs=specs, connections=connections)

@@ -329,7 +329,9 @@ class TextTable(DataTable):
         """Note what was found."""
         if sheet.separator is not None:
             name = _NAMES.get(sheet.separator, sheet.separator)
-            self.tell("separator", name, "splits the lines equally", "separator", form.separator)
+            is_found = any(len(row.cells) > 1 for row in sheet.rows)
+            reason = "splits the lines equally" if is_found else "the default"
+            self.tell("separator", name, reason, "separator", form.separator)
         reason = "as in its numbers" if self._decimal == "," else "no number has a comma"
         if sheet.separator == ",":
             reason = "as commas separate columns"

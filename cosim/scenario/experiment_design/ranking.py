@@ -494,7 +494,7 @@ class _Ranking:
         if not math.isfinite(before):
             return f"no estimate with the delays ({listed}); {reached}"
         if not after < before:
-            return f"no delays are better than ({listed})"
+            return f"none of the delays tried is better than ({listed})"
         return (
             f"the delays ({listed}) are not the best; others have {before / after:.3g} times less "
             f"error, and {reached}"

@@ -24,7 +24,7 @@ from cosim.native.numerics.expression import Program, compile_expression
 from cosim.native.numerics.programs import evaluate_at
 from cosim.scenario.document.schema import TomlTable
 from cosim.scenario.kinds.base import BuildContext
-from cosim.scenario.kinds.jumps import check_continuous, check_finite, check_finite_values
+from cosim.scenario.kinds.jumps import check_continuous, check_finite_values
 from cosim.scenario.kinds.values import ImpliedConnection, KnownSignal
 
 ALPHA: Final = "alpha"  # the input
@@ -151,7 +151,7 @@ def alphas_of(
         with naming(number):
             if isinstance(alpha, Program):
                 check_continuous(alpha.text, context.clock, way_out)
-                check_finite(alpha.text, context.clock)
+                check_finite_values(alpha.text, partial(_values, alpha), context.clock)
                 continue
             known = context.known(Port.parse(alpha.text))
             if known is not None:

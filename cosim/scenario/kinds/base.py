@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from functools import cached_property, partial
 from types import MappingProxyType
@@ -102,6 +102,7 @@ class Kind(TomlTable):
     is_function_of_time: ClassVar[bool] = False
     is_recorded: ClassVar[bool] = False
     is_rerun: ClassVar[bool] = False
+    follows_inputs: ClassVar[bool] = True
     continuous_inputs: ClassVar[Mapping[str, str]] = MappingProxyType({})
     tunable: ClassVar[tuple[str, ...]] = ()
     tunable_elsewhere: ClassVar[str] = ""
@@ -164,11 +165,6 @@ class Kind(TomlTable):
         allowed = self.model_copy()
         allowed._is_allowed = True
         return allowed
-
-    @property
-    def follows_inputs(self) -> bool:
-        """Whether it has inputs; if not, connections to them are left out."""
-        return True
 
     @property
     def step_dependence(self) -> StepDependence:
@@ -325,27 +321,6 @@ class ScenarioTables(Protocol):
         ...
 
 
-class _LookedUpKinds(Mapping[str, Kind]):
-    """The tables of the components of a scenario, which notes whose are looked up."""
-
-    def __init__(self, specs: Mapping[str, Kind], look_up: Callable[[str], None]) -> None:
-        self._specs = specs
-        self._look_up = look_up
-
-    def __getitem__(self, name: str) -> Kind:
-        self._look_up(name)
-        return self._specs[name]
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._specs
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._specs)
-
-    def __len__(self) -> int:
-        return len(self._specs)
-
-
 def clock_of(settings: Settings) -> Clock:
     """Return the clock of a scenario.
 
@@ -399,7 +374,7 @@ class BuildContext(CodeLoading):
         super().__init__(scenario.document.folder, resources, origins, scenario.connections)
         self.invalid = {*scenario.invalid, *invalid}
         self._scenario = scenario
-        self._specs = _LookedUpKinds(scenario.specs, self.look_up)
+        self._specs = scenario.specs
 
     def beside(self, scenario: ScenarioTables, name: str) -> BuildContext:
         """Return a context of its own for one more build of a component, with another table."""
@@ -670,13 +645,13 @@ class BuildContext(CodeLoading):
         """Return a component without inputs, beside that of the run."""
         if self.origins.recording is not None and self._is_replayed(spec):
             return Replay(self.origins.recording, name)
-        count = len(self.warned)
+        count = len(self.warnings)
         try:
             return spec.build(name, self)
         except CosimError as error:  # the problem of that component, which reports it itself
             raise DependsOnInvalid(str(error)) from error
         finally:
-            del self.warned[count:]  # it warns where it is built for the run
+            del self.warnings[count:]  # it warns where it is built for the run
 
     def spectra(self, name: str) -> list[Spectrum]:
         """Return what is known of the signals of a component, by the tables of those it drives."""

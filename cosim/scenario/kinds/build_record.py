@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from cosim.arguments import check_path
 from cosim.core.recording import Recording
@@ -88,15 +88,6 @@ class Origins:
 TABLES_ALONE: Final = Origins()
 
 
-@dataclass(frozen=True, slots=True)
-class _KeptAnswer(Generic[T]):
-    """Something that is made once in a build, and the tables read and looked up for it."""
-
-    made: T
-    reads: frozenset[str]
-    looked_up: frozenset[str]
-
-
 class BuildRecord:
     """What a build records: what each component reads, opens and says.
 
@@ -118,9 +109,6 @@ class BuildRecord:
         Warnings, with the component that was being built.
     reads : dict of component name to names of tables
         That were read to build the component, and its design rests on.
-    looked_up : dict of component name to set of names of components
-        Whose tables were looked up to build the component, whatever was asked of them; all that it
-        was made of, at least.
     attachments : dict of file name to text
         For the log.
     files : set of Path
@@ -144,9 +132,8 @@ class BuildRecord:
         self._resources = resources
         self.current = ""
         self.metadata: dict[str, dict[str, Any]] = {}
-        self.warned: list[tuple[str, tuple[str, str]]] = []
+        self.warnings: list[tuple[str, str]] = []
         self.reads: dict[str, frozenset[str]] = {"": frozenset()}
-        self.looked_up: dict[str, set[str]] = {"": set()}
         self.attachments: dict[str, str] = {}
         self.files: set[Path] = set()
         self.modules: set[Path] = set()
@@ -155,21 +142,16 @@ class BuildRecord:
         self.fmu_files: dict[str, Path] = {}
         self.model_exchange: dict[str, ModelExchange] = {}
         self.identified: dict[str, IdentifiedPlant] = {}
-        self._kept: dict[tuple[str, str], _KeptAnswer[Any]] = {}
+        self._kept: dict[tuple[str, str], tuple[Any, frozenset[str]]] = {}
 
     def begin(self, name: str) -> None:
         """Record what is read from now on for a component."""
         self.current = name
         self.reads[name] = frozenset()
-        self.looked_up[name] = set()
 
     def read(self, *tables: str) -> None:
         """Record that tables are read."""
         self.reads[self.current] |= set(tables)
-
-    def look_up(self, *components: str) -> None:
-        """Record that tables of components are looked up."""
-        self.looked_up[self.current].update(components)
 
     def made_once(self, what: str, name: str, make: Callable[[], T]) -> T:
         """Make something of a component or table, once in a build, and return it.
@@ -178,24 +160,18 @@ class BuildRecord:
         that asks for it.
         """
         if (what, name) not in self._kept:
-            self._kept[what, name] = self._made_by(make)
-        answer: _KeptAnswer[T] = self._kept[what, name]
-        self.read(*answer.reads)
-        self.look_up(*answer.looked_up)
-        return answer.made
-
-    def _made_by(self, make: Callable[[], T]) -> _KeptAnswer[T]:
-        current = self.current
-        reads = self.reads[current]
-        looked_up = self.looked_up[current]
-        self.reads[current] = frozenset()
-        self.looked_up[current] = set()
-        try:
-            made = make()
-            return _KeptAnswer(made, self.reads[current], frozenset(self.looked_up[current]))
-        finally:
-            self.reads[current] |= reads
-            self.looked_up[current] |= looked_up
+            current = self.current
+            before = self.reads[current]
+            self.reads[current] = frozenset()
+            try:
+                made = make()
+                self._kept[what, name] = made, self.reads[current]
+            finally:
+                self.reads[current] |= before
+        kept, reads = self._kept[what, name]
+        self.read(*reads)
+        answer: T = kept
+        return answer
 
     def add_metadata(self, name: str, metadata: Mapping[str, Any]) -> None:
         """Record metadata of a component."""
@@ -204,12 +180,7 @@ class BuildRecord:
     def warn(self, name: str, text: str) -> None:
         """Record a warning about a component; the log, which is sent to others, has it too."""
         text = text.replace(f"{self._folder}{os.sep}", "")
-        self.warned.append((self.current, (name, text)))
-
-    @property
-    def warnings(self) -> list[tuple[str, str]]:
-        """The warnings, each of a component and its text."""
-        return [warning for _, warning in self.warned]
+        self.warnings.append((name, text))
 
     def file(self, name: str) -> Path:
         """Return the path of a file, and record that it is read.

@@ -52,6 +52,7 @@ class FieldDataKind(TableKeys, PlantKind, DecidedByStep, HasSamples, RenamesMore
 
     ports: ClassVar[str] = "-> columns or fields of the file, samples of each, sample_times"
     is_recorded: ClassVar[bool] = True
+    follows_inputs: ClassVar[bool] = False
     kind: Literal["field-data"]
     path: str = Field(
         description="path of a table: CSV and other text, .parquet, .xlsx, .mat (trajectory of "
@@ -115,11 +116,6 @@ class FieldDataKind(TableKeys, PlantKind, DecidedByStep, HasSamples, RenamesMore
     @property
     def step_dependence(self) -> StepDependence:
         return StepDependence(jumps_at_points=False)
-
-    @property
-    def follows_inputs(self) -> bool:
-        """It has none."""
-        return False
 
     def units_of(self, interface: Interface) -> Mapping[str, PortUnit]:
         """Return the units of the table by port, those of the samples too."""

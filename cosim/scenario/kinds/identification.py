@@ -212,7 +212,11 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
         problem = source.missing_model()
         unknown = ", ".join(repr(alpha.text) for alpha in source.regression.known.unknown)
         if unknown and len(source.regression.groups) > 1:
-            when = "nowhere, as no model of y is there to judge by" if problem else "at its end"
+            when = (
+                "nowhere, as no model of y is there to judge by"
+                if problem
+                else "where estimates are judged"
+            )
             context.warn(
                 name,
                 f"alpha {unknown}: only the run computes it, so that the products of the alphas "

@@ -24,6 +24,7 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Block
 from cosim.core.graph import Graph
 from cosim.core.port import Port
+from cosim.core.structure.cycles import reached_from
 from cosim.errors import AssumptionError, RunError, UsageError
 from cosim.native.estimation.alphas import Alpha, AlphaSignal, signals_among
 from cosim.native.numerics.programs import evaluate_at
@@ -587,10 +588,7 @@ def inputs_in_feedback(graph: Graph, observer: str) -> Mask:
             front |= sources
         for source in sources:
             drives[source].add(to.component)
-    dependent: set[str] = set()
-    while front:
-        front = set().union(*(drives[name] for name in front)) - dependent
-        dependent |= front
+    dependent = reached_from(set().union(*(drives[name] for name in front)), drives)
     for to, connection in graph.connections.items():
         follows_y = any(source.component in dependent for source in connection.sources)
         if follows_y and (to.component, to.signal) == (observer, "u"):

@@ -18,7 +18,7 @@ from cosim.core.clock import Clock
 from cosim.errors import UsageError
 from cosim.native.numerics.expression import compile_expression
 from cosim.native.numerics.jumps import Jump, jumps
-from cosim.native.numerics.programs import evaluate, evaluate_at
+from cosim.native.numerics.programs import evaluate
 
 # that are looked at; what comes later stops the run where it is reached
 MOST_POINTS: Final = 1_000_000
@@ -107,12 +107,6 @@ def seen_late(what: str, discrete: bool, way_out: str) -> str:
         ramp = "the jump becomes a ramp over that step, an error of first order in the step"
         shown = f"{ramp}; {way_out}"
     return f"{what}: between two communication points {shown}"
-
-
-def check_finite(text: str, clock: Clock) -> None:
-    """Check that an expression is finite at the communication points; else raise UsageError."""
-    program = compile_expression(text)
-    check_finite_values(text, lambda t: evaluate_at([program], t)[:, 0], clock)
 
 
 def check_finite_values(text: str, values: Callable[[Vector], Vector], clock: Clock) -> None:

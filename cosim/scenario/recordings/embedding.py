@@ -195,8 +195,8 @@ def add_recorded_reports(experiment: Experiment, source: CompleteRecording) -> N
 
     What a plant of the run had replaced is not there any more to be compared with.
     """
-    metadata = experiment.metadata
-    compared = {name for name, text in experiment.warnings if text.startswith(SWAP_WARNINGS)}
+    metadata = experiment.built.metadata
+    compared = {name for name, text in experiment.built.warnings if text.startswith(SWAP_WARNINGS)}
     again = metadata.keys() - set(experiment.recorded) - compared
     again = {name for name in again if "swap_report" not in metadata[name]}
     for name in again:

@@ -83,7 +83,7 @@ class MessageRecorder(PassingRecorder):
             self._say("info", name, text)
         for name, means in graph.mean_inputs.items():
             self._say("info", name, _MEANS.format(", ".join(means)))
-        for name, text in self._experiment.warnings:
+        for name, text in self._experiment.built.warnings:
             self._say("warning", name, text)
         for name, messages in self._experiment.messages.items():
             self._record(name, messages, self._reached_ns)
@@ -114,7 +114,7 @@ class MessageRecorder(PassingRecorder):
 
     def _check_inputs(self, block: Block, signals: Matrix) -> None:
         """Have FMUs warn of values of inputs that they do not allow."""
-        for name, fmu in self._experiment.fmus.items():
+        for name, fmu in self._experiment.built.fmus.items():
             if fmu.input_limits.are_there:
                 inputs = signals[:, self._experiment.graph.layout[name].inputs]
                 ports = self._experiment.port_maps.get(name)
@@ -124,7 +124,7 @@ class MessageRecorder(PassingRecorder):
     def _record_messages(self, until_ns: int) -> None:
         """Record the new messages of all FMUs, and those that have waited for their instants."""
         messages = {}
-        for name, fmu in self._experiment.fmus.items():
+        for name, fmu in self._experiment.built.fmus.items():
             messages[name] = [*self._ahead.pop(name, []), *fmu.drain()]
         # In the order of inner steps, of which the first one of a loop is said, in blocks of any
         # length.
@@ -187,7 +187,7 @@ class MessageRecorder(PassingRecorder):
         """End the run of every FMU; return what the run as a whole ended with."""
         failures = []
         try:
-            for name, fmu in self._experiment.fmus.items():
+            for name, fmu in self._experiment.built.fmus.items():
                 try:
                     fmu.terminate()
                 except RunError as failure:

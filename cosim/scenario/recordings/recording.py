@@ -161,12 +161,7 @@ def build_experiment(
         return with_reports(build(), reports)
 
     experiment = with_loop_gains(with_reports(experiment, reports), rebuild)
-    if experiment.settings:
-        from cosim.scenario.building.actions import prepare_settings  # few runs need it
-
-        experiment.setting_designs = prepare_settings(
-            experiment.graph, experiment.clock.step_ns, experiment.settings, {}
-        )
+    experiment.setting_designs = experiment.prepare_settings({})
     return experiment
 
 

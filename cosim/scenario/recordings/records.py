@@ -51,7 +51,7 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
         "step": str(settings.step),
         "truth": json.dumps(experiment.truth),
         "first_order_loops": json.dumps([s.description for s in graph.stages if s.is_first_order]),
-        "warnings": json.dumps(experiment.warnings),
+        "warnings": json.dumps(experiment.built.warnings),
     }
     if scenario.actions:
         run["actions"] = json.dumps(scenario.tree["actions"])
@@ -81,7 +81,7 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
     for name, spec in scenario.specs.items():
         record = {
             "table": json.dumps(scenario.tree["components"][name]),
-            "metadata": json.dumps(experiment.metadata.get(name, {})),
+            "metadata": json.dumps(experiment.built.metadata.get(name, {})),
             "fingerprint": fingerprint(scenario, name, experiment.built.reads[name]),
         }
         as_of_old = name in graph.means and not asks_for_means(spec)

@@ -88,18 +88,18 @@ def check_changes(
     scenario = experiment.scenario
     if experiment.absent:  # which may be changed, too
         scenario, _ = read(scenario.document, parse)
-    drivers: dict[str, set[str]] = {name: set() for name in scenario.specs}
     followers: dict[str, list[str]] = {}
     recorded = set(experiment.recorded)
     for to, connection in scenario.connections.items():
         for source in connection.sources:
-            drivers[to.component].add(source.component)
             if to.component not in recorded:  # which passes nothing on
                 followers.setdefault(source.component, []).append(to.component)
     before, _ = original.tree()
     for change, document in _changed_documents(original, changes, swap, maps):
         after, _ = document.tree()
-        for refusal in _refusals(experiment, _changed_tables(before, after), drivers, followers):
+        for refusal in _refusals(
+            experiment, _changed_tables(before, after), scenario.drivers, followers
+        ):
             raise UsageError(f"{change}: {refusal}")
         before = after
 

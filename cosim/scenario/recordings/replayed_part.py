@@ -145,12 +145,10 @@ class _PartSearch:
         self._partial = partial
         self._scenario = scenario
         self._inputs: dict[Port, list[Connection]] = {}  # by whole input
-        drivers: dict[str, set[str]] = {name: set() for name in scenario.specs}
         for to, connection in scenario.connections.items():
             self._inputs.setdefault(to.whole, []).append(connection)
-            drivers[to.component].update(source.component for source in connection.sources)
         loops: dict[str, set[str]] = {}
-        members = strongly_connected(drivers)
+        members = strongly_connected(scenario.drivers)
         for name, loop in members.items():
             loops.setdefault(loop, set()).add(name)
         self._loops = {name: loops[loop] for name, loop in members.items()}

@@ -155,13 +155,11 @@ def prepared_replay(
     if not (request.changes or request.swap):
         experiment.gains = recorded_loop_gains(source)
     if experiment.settings:
-        from cosim.scenario.building.actions import prepare_settings, recorded_designs
+        from cosim.scenario.building.actions import recorded_designs
 
         recorded = recorded_designs(source).items()
         taken = {key: design for key, design in recorded if key.partition(" ")[2] in designs}
-        experiment.setting_designs = prepare_settings(
-            experiment.graph, experiment.clock.step_ns, experiment.settings, taken
-        )
+        experiment.setting_designs = experiment.prepare_settings(taken)
     return experiment
 
 
@@ -355,7 +353,7 @@ def _recorded_warnings(experiment: Experiment, source: Log) -> Iterator[tuple[st
     again = experiment.graph.components.keys() - set(experiment.recorded)
     for time_ns, _, name, text in source.warnings:
         is_left = name in again or name in experiment.absent or name == "run"
-        if is_left or (name, text) in experiment.warnings:
+        if is_left or (name, text) in experiment.built.warnings:
             continue
         if not text.startswith(_RECORDED):
             text = f"{_RECORDED} at t = {time_ns / NANOSECONDS} s: {text}"
@@ -381,7 +379,7 @@ def _valid_designs(
         if component_metadata(source, name).get("fingerprint") != current:
             return False
         if experiment.scenario.specs[name].code is not None:
-            code = experiment.metadata.get(name, {}).get("code")
+            code = experiment.built.metadata.get(name, {}).get("code")
             recorded = component_record(source, name).code
             if code is None or CodeRecord.model_validate(code) != recorded:
                 return False
@@ -405,8 +403,6 @@ def designs_anew(experiment: Experiment) -> dict[str, Design]:
         if recorded and name not in experiment.recorded:
             anew[name] = experiment.graph.prepare_one(name, step_ns, {})
     if experiment.setting_designs:
-        from cosim.scenario.building.actions import prepare_settings
-
-        texts = prepare_settings(experiment.graph, step_ns, experiment.settings, {})
+        texts = experiment.prepare_settings({})
         anew |= {key: decode_design(text) for key, text in texts.items()}
     return anew

@@ -83,7 +83,7 @@ def dry_run(scenario: Scenario) -> SwapReports:
             experiment = with_loop_gains(comparison.experiment(), comparison.rebuilt)
         except ScenarioError as error:
             return replace(reports, problems=tuple(str(error).splitlines()))
-        warnings = dict.fromkeys([*reports.of_run, *experiment.warnings])
+        warnings = dict.fromkeys([*reports.of_run, *experiment.built.warnings])
         return replace(reports, of_run=tuple(warnings))
 
 

@@ -33,6 +33,7 @@ from cosim.core.passing_recorders import Watched
 from cosim.core.port import Port
 from cosim.core.recorders import Nothing, close, end_of_run, error_text
 from cosim.core.recording import Recorder
+from cosim.core.structure.cycles import reached_from
 from cosim.documents import plain
 from cosim.errors import CosimError, FmuError, Interrupted, RunError, UsageError, option
 from cosim.instants import NANOSECONDS, step_part, step_seconds, step_value
@@ -89,7 +90,7 @@ class Certification:
             graph = experiment.graph
             self._clock = experiment.clock
             self._labels = graph.labels()
-            self._fmus = tuple(experiment.fmus)
+            self._fmus = tuple(experiment.built.fmus)
             self._decided = _decided(experiment)
             self._outputs = _outputs(scenario, graph)
             self._driven = _driven(graph)
@@ -203,23 +204,20 @@ class Certification:
     @property
     def of_conditions(self) -> set[str]:
         """The components that have no estimate with any step, as they follow a condition."""
-        return {name for origin in self._conditions() for name in self._followers(origin)}
+        return {
+            name
+            for origin in self._conditions()
+            for name in reached_from(self._driven.get(origin, ()), self._driven)
+        }
 
     def _reasons(self) -> dict[str, str]:
         """Return why components have no estimate, by their names: what they follow has none."""
         reasons: dict[str, str] = {}
         for origins in (self._conditions(), self._parts(), self._unexpected()):
             for origin, text in origins.items():
-                for name in self._followers(origin):
+                for name in reached_from(self._driven.get(origin, ()), self._driven):
                     reasons.setdefault(name, text)
         return reasons
-
-    def _followers(self, origin: str) -> list[str]:
-        """Return the components that follow one, itself among them where it has inputs."""
-        followers = list(self._driven.get(origin, ()))
-        for name in followers:  # grows on the way
-            followers += self._driven[name].difference(followers)
-        return followers
 
     def _conditions(self) -> dict[str, str]:
         """Return the components that actions on conditions are about, if one was performed."""
@@ -395,7 +393,7 @@ def _decided(experiment: Experiment) -> dict[str, Any]:
     changes: dict[str, Any] = {}
     for name, spec in experiment.scenario.specs.items():
         table = experiment.scenario.tree["components"][name]
-        metadata = experiment.metadata.get(name, {})
+        metadata = experiment.built.metadata.get(name, {})
         if isinstance(spec, DecidedByStep):
             decided = spec.decided(table, metadata, experiment.clock.step_ns)
             if decided != table:

@@ -375,6 +375,7 @@ def _chosen(log: CompleteRecording, identified: Mapping[str, Any], identifier: s
     else:
         problem = (
             "expected an identifier with a model of y, got none; its regressor must be driven by a "
-            "single observer of kind 'unknown-input-observer', with one disturbance"
+            "single observer of kind 'unknown-input-observer', whose disturbances its terms "
+            "describe"
         )
     raise UsageError(f"{log.label}: {problem}")

@@ -246,8 +246,8 @@ class _StepSearch:
             )
         last = self.trials[-1]
         text = (
-            f"{option(FIND_STEP)}: no step achieves {wanted}; tried {len(self.trials)}, down to "
-            f"{last.step_ns / NANOSECONDS:g} s: {last.failure}"
+            f"{option(FIND_STEP)}: none of {len(self.trials)} steps tried, down to "
+            f"{last.step_ns / NANOSECONDS:g} s, achieves {wanted}: {last.failure}"
         )
         if last.follows_condition:
             text += ", whatever the step; use an action at a fixed time, or another signal"
@@ -255,8 +255,8 @@ class _StepSearch:
         if grown and (last.grows or last.certification.problem):
             step = grown[-1].step_ns / NANOSECONDS
             text += (
-                f"; below {step:g} s the error grows as the step is halved: the coupling is "
-                "unstable"
+                f"; below {step:g} s the error grows as the step is halved, as with an unstable "
+                "coupling"
             )
         return text
 
