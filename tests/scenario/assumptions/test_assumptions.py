@@ -378,7 +378,7 @@ def test_a_model_that_is_not_known_well_is_said_by_check_and_run(tmp_path, capsy
     with ExitStack() as resources:
         warnings = Builder(load(path), resources).experiment().built.warnings
     assert any(name == "plant" and words in text for name, text in warnings)
-    assert report.warnings == warnings
+    assert list(report.warnings) == warnings
     assert report.to_dict()["warnings"] == [{"of": name, "text": text} for name, text in warnings]
     print_shown(show_assumptions(report), as_json=False)
     assert f"warning: plant: {words}" in capsys.readouterr().err

@@ -201,7 +201,7 @@ def test_a_filter_is_chosen_by_a_signal_that_is_known_before_the_run(tmp_path):
     del changes["observer.filter_rate"]
     run = cosim.load(scenario(tmp_path)).set(changes)
     with ExitStack() as resources:
-        chosen = Builder(run, resources).experiment().metadata["observer"]["choice"]
+        chosen = Builder(run, resources).experiment().built.metadata["observer"]["choice"]
     request = chosen["request"]["delta"]
     assert request["alpha"] == list(BOTH)
     # another table of the source is another request, so that a replay with it chooses anew

@@ -251,7 +251,7 @@ def test_other_parts_of_the_loop_are_warned_of(part, of, source, between):
     to, _ = of.split(" = ")
     loop = scenario(replaced={"[connections]\n": part, of: f'{to} = "{source}"'})
     with ExitStack() as resources:
-        warnings = Builder(loop, resources).experiment().warnings
+        warnings = Builder(loop, resources).experiment().built.warnings
     (text,) = [text for _, text in warnings if "the loop that was certified is one without" in text]
     assert between in text
 

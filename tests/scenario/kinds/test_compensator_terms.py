@@ -48,7 +48,7 @@ def loop(identified, own, theta=""):
 def warnings(scenario):
     """Return what is said of the compensator before a run."""
     with ExitStack() as resources:
-        told = Builder(scenario, resources).experiment().warnings
+        told = Builder(scenario, resources).experiment().built.warnings
     return [text for name, text in told if name == "compensator"]
 
 

@@ -240,7 +240,7 @@ def test_what_least_squares_does_not_tell_apart_is_noted(tmp_path, subtests):
             count = 1 + len(terms) + (sine in terms)
             delays = [round(0.4 * (j + 1), 1) for j in range(count)]
             scenario = identified(tmp_path, terms, delays, 'method = "least-squares"')
-            metadata = Builder(scenario, resources).experiment().metadata
+            metadata = Builder(scenario, resources).experiment().built.metadata
             assert metadata["identifier"]["notes"] == notes
 
 
