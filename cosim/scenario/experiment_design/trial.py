@@ -293,7 +293,7 @@ def trial_of(
     with ExitStack() as resources:
         builder = Builder(scenario, resources)
         builder.check()
-        graph = _upstream_graph(builder, subject)
+        graph = builder.graph_of(subject.upstream)
         identified = _identified(builder, subject, graph)
         recording = Memory()
         run(graph, builder.clock, recording)
@@ -390,22 +390,6 @@ class _ObserverResponse:
         initial = self._component.outputs(begin, u[0])
         rows = self._component.advance(self._t, second - begin, u)
         return np.append(initial[self._delta], rows[:, self._delta])
-
-
-def _upstream_graph(builder: Builder, subject: DesignSubject) -> Graph:
-    """Return the graph of the observer and of what it follows."""
-    scenario = builder.scenario
-    settings = scenario.file.scenario
-    names = [name for name in builder.components if name in subject.upstream]
-    connections = scenario.connections.items()
-    return Graph(
-        {name: builder.components[name] for name in names},
-        {to: connection for to, connection in connections if to.component in names},
-        coupling=settings.coupling,
-        iterations=settings.iterations,
-        input_interpolation=settings.input_interpolation,
-        periods={name: builder.periods[name] for name in names},
-    )
 
 
 def _identified(builder: Builder, subject: DesignSubject, graph: Graph) -> IdentifiedPlant:
