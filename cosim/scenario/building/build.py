@@ -33,6 +33,13 @@ from cosim.errors import (
 )
 from cosim.scenario.building.actions import ActionChecker, check_condition
 from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.building.graph_checks import (
+    as_in_run,
+    check_truth,
+    held_disturbances,
+    jump_problems,
+    substep_tolerance,
+)
 from cosim.scenario.building.parsing import Scenario, read
 from cosim.scenario.document.document import Document
 from cosim.scenario.document.places import Key, Problem
@@ -56,15 +63,6 @@ from cosim.scenario.record import component_record
 if TYPE_CHECKING:
     from cosim.blocks.port_map import PortMap
     from cosim.blocks.renaming import Renaming
-
-
-from cosim.scenario.building.graph_checks import (
-    as_in_run,
-    check_truth,
-    held_disturbances,
-    jump_problems,
-    substep_tolerance,
-)
 
 
 class Builder:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import replace
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -31,10 +31,6 @@ from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.places import Problem
 from cosim.scenario.document.schema import File, Settings
 from cosim.units import Unit, conversion
-
-if TYPE_CHECKING:
-    pass
-
 
 _HELD_IN_LOOP: Final = (
     "{source} depends on what it drives, so that '{to}' takes it with a zero-order hold, on the "
