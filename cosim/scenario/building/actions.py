@@ -225,16 +225,18 @@ class ActionChecker:
         for other in others:
             if other.name != change.name or other.number >= change.number:
                 continue
-            reason = ""
-            if other.index == change.index:
-                reason = " at the same instant"
+            if change.values is None or other.values is None:
+                found = "; expected one action"
+            elif other.index == change.index:
+                found = " at the same instant; set all in one action, or choose another time"
             elif min(other.index, change.index) < 0 and not is_fmu:
-                reason = ", in an order that depends on a condition"
-            if reason or change.values is None or other.values is None:
-                raise GraphError(
-                    f"{change.name!r} is also changed by actions[{other.number}]{reason}; expected "
-                    "one action"
+                found = (
+                    ", in an order that depends on a condition; set it in one action, or at fixed "
+                    "times"
                 )
+            else:
+                continue
+            raise GraphError(f"{change.name!r} is also changed by actions[{other.number}]{found}")
 
     def _swap(self, change: _Change) -> Swap:
         """Return what swaps a component.

@@ -428,7 +428,9 @@ def text_table(path: Path, form: TableForm, *, is_text: bool) -> TextTable:
             comments.append((number, line.lstrip()[len(mark) :].strip(" ")))
         elif line.strip():
             kept.append((number, line))
-    separator = form.separator or _likely_separator([line for _, line in kept])
+    separator = form.separator
+    if separator is None:
+        separator = _likely_separator([line for _, line in kept])
     decimal = form.decimal or "."
     is_quoted = separator == "," and any('"' in line for _, line in kept)
     forbidden = f'{"" if is_quoted else decimal}"\r\n0123456789'

@@ -31,6 +31,7 @@ from cosim.errors import GraphError, ScenarioError, UsageError, command, nearest
 from cosim.files import file_type, read_bounded
 from cosim.log.contents.metadata import json_table
 from cosim.scenario.document.places import PORTS, Key, Problem, report, written
+from cosim.scenario.document.schema import RecordTable, Settings
 from cosim.scenario.document.swaps import (
     MAP,
     PortNames,
@@ -227,9 +228,12 @@ def _set(tree: Tables, key: str, value: Any) -> Key:
             at = _index(holder, part[1:-1], place)
         elif not isinstance(holder, dict):
             raise UsageError(f"{written(place)}: expected a table, got {quoted(holder)}")
-        elif indices and "." not in part and part not in holder and name in holder:
-            parts[:0] = [f"[{index}]" for index in indices]
-            at = name  # of a list; ports have dots, variables such as x[0] are no keys of ``start``
+        elif indices and "." not in part and part not in holder:
+            # the tables inside a component's have names such as ``start = { "x[0]" = 1.0 }``
+            is_inside = len(place) == 3 and place[0] == COMPONENTS
+            if name in holder or not is_inside:
+                parts[:0] = [f"[{index}]" for index in indices]
+                at = name
         place = (*place, at)
         if not parts:
             holder[at] = deepcopy(value)  # a later edit may reach into it
@@ -252,11 +256,16 @@ def _parts_in(tree: Tables, key: str, value: Any) -> list[str]:
     """
     component = component_in(key)
     first, *parts = key.removeprefix("" if component is None else f"{COMPONENTS}.").split(".")
+    components = table_of(tree, COMPONENTS)
+    if component is None and first in components and not _is_in_table(tree, first, parts):
+        long = option("set", f"{COMPONENTS}.{key}")
+        raise UsageError(
+            f"{first!r} is a table of the scenario, and a component; of the component: {long}"
+        )
     if not parts and first != ACTIONS and (component is None or not isinstance(value, dict)):
         example = option("set", "observer.filter_rate", "500")
         raise UsageError(f"expected COMPONENT.PARAMETER, such as {example}, got no dot")
     if component is not None or first not in TABLES:
-        components = table_of(tree, COMPONENTS)
         if parts and first not in components:
             suggestion = nearest(first, [*components, *TABLES])
             raise UsageError(f"unknown component {first!r}; {suggestion}")
@@ -271,6 +280,21 @@ def _parts_in(tree: Tables, key: str, value: Any) -> list[str]:
     return [first, *parts]
 
 
+def _is_in_table(tree: Tables, name: str, parts: list[str]) -> bool:
+    """Return whether a table of the file may have a key, as far as its first part shows."""
+    part = parts_of(parts[0])[0] if parts else ""
+    match name:
+        case "scenario":
+            return part in Settings.model_fields
+        case "record":
+            return part in RecordTable.model_fields
+        case "models":
+            return part in table_of(tree, name)
+        case "actions":
+            return part.isdigit() or not parts
+    return name in PORTS and part in table_of(tree, COMPONENTS)
+
+
 def _setting(key: str) -> str:
     """Return a key that an action sets, which is always that of a component, in its short form."""
     rest = key.removeprefix(f"{COMPONENTS}.")
@@ -280,6 +304,10 @@ def _setting(key: str) -> str:
 def _index(items: Any, index: str, place: Key) -> int:
     """Return the number of an element of a list, which stands at ``place``."""
     name = written(place)
+    if items is None:
+        raise UsageError(
+            f"{name} is not given, so element {index} cannot be set; set it as a whole"
+        )
     if not isinstance(items, list):
         raise UsageError(f"{name}: expected a list, got {quoted(items)}")
     if _INDEX.fullmatch(index) is None or int(index) >= len(items):

@@ -117,7 +117,8 @@ def _likely(errors: Sequence[_Error], level: int = 0) -> list[_Error]:
     """Return the errors of the alternatives that values are nearest to.
 
     An alternative that refuses a value as a whole is out, if another one refuses parts of it, or
-    accepts its type; of several, the one with the fewest errors is meant. ``level`` counts the
+    accepts its type; of several, the one with the fewest errors is meant, or that which is wrong
+    behind the most elements. ``level`` counts the
     choices inwards.
     """
     likely: list[_Error] = []
@@ -133,11 +134,20 @@ def _likely(errors: Sequence[_Error], level: int = 0) -> list[_Error]:
         exact = [group for group in groups if all(e.words is None for e in group)]
         inside = [group for group in groups if any(_is_inside(e, at) for e in group)]
         if exact or inside:
-            meant = min(inside or exact, key=lambda group: (len(group), group not in exact))
-            likely += meant
+            ranks = [(len(group), -_accepted(group, at), group not in exact) for group in groups]
+            fitting = [group in (inside or exact) for group in groups]
+            best = min(rank for rank, fits in zip(ranks, fitting, strict=True) if fits)
+            for group, rank, fits in zip(groups, ranks, fitting, strict=True):
+                likely += group if fits and rank == best else []
         else:
             likely += [error for group in groups for error in group]
     return likely
+
+
+def _accepted(group: Sequence[_Error], at: Key) -> int:
+    """Return how many elements of a list an alternative accepts before the first that is wrong."""
+    first = group[0].path[len(at) : len(at) + 1]
+    return first[0] if first and isinstance(first[0], int) else 0
 
 
 def _is_inside(error: _Error, at: Key) -> bool:

@@ -255,6 +255,7 @@ NO_SAMPLES = [
     ("t,y\n0,1\n", {"decimal": ";"}, r"decimal: expected .*got ';'"),
     ("t,y\n0,1\n", {"decimal": ","}, r"separator: .*',', got ','"),
     ("t,y\n0,1\n", {"separator": "::"}, r"separator: .*got '::'"),
+    ("t,y\n0,1\n", {"separator": ""}, r"separator: .*got ''"),
     ("t,y\n0,1\n", {"missing": "-9999"}, r"^missing: expected .*, got '-9999'"),
     ("t,y\n0,1\n", {"offset": "firstt"}, r"^offset: expected .*, got 'firstt'"),
     ("t,y\n0,1\n", {"offset": True}, r"^offset: expected .*, got True"),

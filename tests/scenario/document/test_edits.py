@@ -1,5 +1,7 @@
 """Edits from outside: which table a key is in, elements of lists, values of the command line."""
 
+import re
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -202,7 +204,7 @@ UNKNOWN = [
     ("models.academic.A[0][3]", r"models\.academic\.A\[0\] .*'3'; available: 0 to 2"),
     ("models.academic.A[0][0][0]", r"models\.academic\.A\[0\]\[0\]: expected a list, got 0"),
     ("observer.filter_rate[0]", r"components\.observer\.filter_rate: expected a list, got 1000\.0"),
-    ("plant.x0[0]", r"unknown key 'x0\[0\]'; did you mean 'x0'\?"),
+    ("plant.x0[0]", r"components\.plant\.x0 is not given, so element 0 cannot be set"),
     ("plant.x_a0[0].x", r"components\.plant\.x_a0\[0\]: expected a table, got 1\.0"),
     ("delta.terms[0].teta", r"set\['delta\.terms\[0\]\.teta'\]: unknown key"),
     ("plant.x_a0[1]", r"set\['plant\.x_a0\[1\]'\]: expected a number, got 'a'"),
@@ -280,3 +282,35 @@ def test_values_are_split_at_their_own_commas():
     assert {text: parse_values(text) for text in VALUES} == VALUES
     with pytest.raises(UsageError, match="'1,,2'"):
         parse_values("1,,2")
+
+
+def test_a_component_with_the_name_of_a_table_is_set_by_its_long_key(tmp_path):
+    """The short key is that of the table; where that has no such key, the long one is named."""
+    names = ("record", "models", "truth", "connections", "actions", "swap", "scenario")
+    path = tmp_path / "names.toml"
+    path.write_text(
+        '[scenario]\nname = "names"\nstop = 1.0\nstep = 0.1\n[components]\n'
+        + "".join(f'{name} = {{ kind = "constant", value = 1.0 }}\n' for name in names)
+    )
+    scenario = cosim.load(path)
+    for name in names:
+        long = f"components.{name}.value"
+        assert scenario.set({long: 2.0}).specs[name].value == 2.0
+        with pytest.raises(ScenarioError, match=rf"of the component: set\['{long}'\]"):
+            scenario.set({f"{name}.value": 2.0})
+
+
+def test_the_element_that_is_wrong_is_named_where_a_list_may_be_of_several_types(
+    tmp_path, academic
+):
+    """It is the first behind those that fit; where none fits, all types are."""
+    text = academic.document.text
+    for value, message in (
+        ('[1.0, "a"]', r"theta\[1\]: expected a number, got 'a'"),
+        ('["plant.y", 1.0]', r"theta\[1\]: expected a string, got 1\.0"),
+        ("[true]", r"theta\[0\]: expected a string or a number, got True"),
+    ):
+        path = tmp_path / "truth.toml"
+        path.write_text(re.sub(r"(identifier\.theta\W+=).*", rf"\1 {value}", text))
+        with pytest.raises(ScenarioError, match=message):
+            cosim.load(path)
