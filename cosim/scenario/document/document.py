@@ -86,6 +86,11 @@ def short(key: str) -> str:
     return f"{first}{dot}{rest}"
 
 
+def shown(key: str) -> str:
+    """Return the short form of a key as messages have it: ``actions[0].at`` of ``actions.0.at``."""
+    return re.sub(rf"^{ACTIONS}\.([^.]+)", rf"{ACTIONS}[\1]", short(key))
+
+
 def component_in(key: str) -> str | None:
     """Return the component that a dotted key is about; None: it is in another table."""
     first, _, rest = key.partition(".")
@@ -539,8 +544,7 @@ class Document:
         else:
             tree.pop("swap", None)
         for key, value in self.changes.items():
-            # as it is written: ``actions[0].at`` of ``actions.0.at``
-            label = option("set", re.sub(rf"^{ACTIONS}\.(\w+)", rf"{ACTIONS}[\1]", key))
+            label = option("set", shown(key))
             try:
                 edits[written(_set(tree, key, value))] = label
             except UsageError as error:

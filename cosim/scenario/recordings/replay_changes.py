@@ -14,7 +14,7 @@ from cosim.instants import step_value
 from cosim.scenario.building.build import parse
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.parsing import read
-from cosim.scenario.document.document import ACTIONS, Document, short
+from cosim.scenario.document.document import ACTIONS, Document, short, shown
 from cosim.scenario.document.swaps import PortNames
 from cosim.scenario.kinds import Kind
 
@@ -145,7 +145,7 @@ def _changed_documents(
         yield option("swap", next(iter(swap))), document
     for key, value in changes.items():
         document = document.with_changes({key: value})
-        yield option("set", short(key)), document
+        yield option("set", shown(key)), document
 
 
 def _changed_tables(before: Mapping[str, Any], after: Mapping[str, Any]) -> set[str]:
