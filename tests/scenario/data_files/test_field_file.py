@@ -266,8 +266,7 @@ NO_SAMPLES = [
 def test_another_file_than_a_table_of_samples_is_refused(tmp_path):
     """With the line and the column, or the key, never with what stands there."""
 
-    def read(case):
-        text, options = case
+    def read(text, options):
         read_field_data(written(tmp_path, text), **options)
 
     of_file = r"(?s)^(?!.*n/a)(?=.*field\.csv|decimal|separator|columns|missing|offset|same_time)"

@@ -14,10 +14,7 @@ from cosim.scenario.document.document import Document
 from cosim.scenario.exporting import export_component
 
 PARTS = """
-[scenario]
-name = "parts"
-stop = 0.5
-step = 1e-3
+scenario = { name = "parts", stop = 0.5, step = 1e-3 }
 [components]
 wave = { kind = "expression", y = ["sin(17*t)", "cos(9*t) + 1.3"] }
 pulse = { kind = "expression", y = "step(t - 0.1) - step(t - 0.4)", discrete = true }
@@ -25,10 +22,7 @@ product = { kind = "product", operations = "*/", unit = "N" }
 switch = { kind = "switch", size = 2 }
 integrator = { kind = "integrator", initial = 0.01 }
 limited = { kind = "integrator", initial = 0.01, upper = 0.05 }
-[components.filter]
-kind = "transfer-function"
-numerator = [1.0, 300.0]
-denominator = [1.0, 50.0, 1e4]
+filter = { kind = "transfer-function", numerator = [1.0, 300.0], denominator = [1.0, 50.0, 1e4] }
 [components.pid]
 kind = "pid"
 gain = 2.0
@@ -131,10 +125,7 @@ def test_as_fmus_they_are_the_same(fmi, names, recorded, tmp_path):
 
 
 SWITCH = """
-[scenario]
-name = "switching"
-stop = 1.0
-step = 0.25
+scenario = { name = "switching", stop = 1.0, step = 0.25 }
 [components]
 ramp = { kind = "ramp", slope = 1.0 }
 up = { kind = "step", time = 0.5 }
@@ -147,29 +138,23 @@ after = { kind = "integrator" }
 "switch.u2" = "on.y"
 "after.u" = "switch.y"
 """
+U1 = "connections.switch.u1"
+CONTROL = "connections.switch.control"
 
 
 @pytest.mark.parametrize(
     ("changes", "y", "after", "said"),
     [
-        ({"u1": "up.y"}, [1.0, 1.0, 1.0, 1.0, 1.0], None, ""),  # discrete with all of its inputs
+        ({U1: "up.y"}, [1.0, 1.0, 1.0, 1.0, 1.0], None, ""),  # discrete with all of its inputs
         ({}, [1.0, 1.0, 0.5, 0.75, 1.0], None, r"up\.y: interpolated linearly together with ramp"),
-        (
-            {"control": "ramp.y"},
-            None,
-            [0.0, 0.25, 0.4375, 0.59375, 0.8125],
-            "the jump becomes a ramp over that step",
-        ),
-        ({"discrete": True}, None, [0.0, 0.25, 0.5, 0.625, 0.8125], ""),
-        ({"discrete": True, "control": "ramp.y"}, None, None, "that shows at the second"),
+        ({CONTROL: "ramp.y"}, None, [0.0, 0.25, 0.4375, 0.59375, 0.8125], "becomes a ramp over"),
+        ({"switch.discrete": True}, None, [0.0, 0.25, 0.5, 0.625, 0.8125], ""),
+        ({"switch.discrete": True, CONTROL: "ramp.y"}, None, None, "that shows at the second"),
     ],
 )
 def test_a_switch_jumps_at_communication_points_or_says_so(tmp_path, changes, y, after, said):
     """Jumps of a continuous control, or of a discrete one over a continuous signal, are ramps."""
-    set_ = {}
-    for key, value in changes.items():
-        set_["switch.discrete" if key == "discrete" else f"connections.switch.{key}"] = value
-    log = cosim.run(parse(Document(SWITCH, "switching", tmp_path)), set=set_)
+    log = cosim.run(parse(Document(SWITCH, "switching", tmp_path)), set=changes)
     assert y is None or log["switch.y"].tolist() == y
     assert after is None or log["after.y"].tolist() == after
     messages = "\n".join(message.text for message in log.messages())
@@ -186,10 +171,7 @@ def test_a_division_by_zero_names_component_and_time(tmp_path):
 
 
 JUMP = """
-[scenario]
-name = "jump"
-stop = 0.1
-step = 0.01
+scenario = { name = "jump", stop = 0.1, step = 0.01 }
 [components]
 setpoint = { kind = "step", time = 0.05, before = 1.0, after = 5.0 }
 ramp = { kind = "ramp", slope = 1.0 }

@@ -365,15 +365,13 @@ INDISTINGUISHABLE = [
 def test_terms_that_no_data_or_not_this_method_tells_apart_are_refused(tmp_path):
     """Before the run, by families, alphas and bounds."""
 
-    def refuse(case):
-        terms, more = case
+    def refuse(terms, more):
         count = 1 + sum(2 if term["family"] in ("ramp", "sine") else 1 for term in terms)
         spacing = 1.0 if terms in (PERIODIC, EXCHANGED) else 0.4
         delays = [round(spacing * (j + 1), 1) for j in range(count)]
         cosim.run(identified(tmp_path, terms, delays, more))
 
-    cases = [(case, message) for *case, message in INDISTINGUISHABLE]
-    check_refused(cases, refuse, CosimError)
+    check_refused(INDISTINGUISHABLE, refuse, CosimError)
 
 
 def test_elements_may_have_signals_as_alphas(tmp_path):
@@ -411,12 +409,10 @@ WRONG_ELEMENTS = [
 def test_elements_that_do_not_fit_are_refused(tmp_path):
     """Every element of delta has terms, and the method can do with several."""
 
-    def refuse(case):
-        terms, more = case
+    def refuse(terms, more):
         cosim.run(identified(tmp_path, terms, [0.5, 1.0, 1.5], more, PAIR))
 
-    cases = [(case, message) for *case, message in WRONG_ELEMENTS]
-    check_refused(cases, refuse, CosimError)
+    check_refused(WRONG_ELEMENTS, refuse, CosimError)
 
 
 def test_the_assumptions_of_every_element_are_told(tmp_path):

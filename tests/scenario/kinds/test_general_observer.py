@@ -226,10 +226,9 @@ IMPOSSIBLE = [
 def test_an_observer_that_cannot_be_is_refused(tmp_path):
     """Before any run, with what is expected."""
 
-    def refuse(case):
-        model, keys = case
+    def refuse(model, keys):
         path = write(tmp_path / "wrong.toml", model, "x0 = [1.0]", OBSERVER.format(keys=keys))
         cosim.run(path)
 
-    cases = [(case, re.escape(message)) for *case, message in IMPOSSIBLE]
+    cases = [(*case, re.escape(message)) for *case, message in IMPOSSIBLE]
     check_refused(cases, refuse, ScenarioError)

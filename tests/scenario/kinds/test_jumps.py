@@ -114,7 +114,7 @@ def test_a_jump_that_would_be_wrong_is_refused(tmp_path):
     def refuse(table):
         run(tmp_path, table)
 
-    check_refused([(table, text) for table, text in WRONG_JUMPS], refuse, ScenarioError)
+    check_refused(WRONG_JUMPS, refuse, ScenarioError)
 
 
 def test_a_value_that_rounding_delays_is_refused(tmp_path):

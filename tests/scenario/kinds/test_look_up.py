@@ -90,4 +90,4 @@ def test_a_table_without_a_function_is_refused(tmp_path):
         (tmp_path / "g.csv").write_text("a,b,c\n0,0,1\n1,0,3\n1,1,3\n1,1,4\n")
         run(tmp_path, table)
 
-    check_refused([(table, text) for table, text in NO_FUNCTIONS], refuse, ScenarioError)
+    check_refused(NO_FUNCTIONS, refuse, ScenarioError)

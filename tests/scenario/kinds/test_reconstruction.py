@@ -273,8 +273,7 @@ NO_CHOICES = [
 def test_a_damaged_recorded_choice_is_refused(academic, tmp_path):
     """A log may come from anywhere."""
 
-    def refuse(case):
-        key, value = case
+    def refuse(key, value):
         log = cosim.run(academic, out=tmp_path / "a.mcap", set=SHORT | AUTO, force=True)
         content = take_apart(log.path)
         for name, items in content.metadata:
@@ -285,8 +284,7 @@ def test_a_damaged_recorded_choice_is_refused(academic, tmp_path):
         path = put_together(content, tmp_path / "b.mcap")
         cosim.replay(path)
 
-    cases = [(case, message) for *case, message in NO_CHOICES]
-    check_refused(cases, refuse, (LogError, ScenarioError))
+    check_refused(NO_CHOICES, refuse, (LogError, ScenarioError))
 
 
 # --- refusals ---
@@ -325,7 +323,7 @@ def test_a_wrong_filter_is_refused(academic):
         named = {f"observer.{key}": value for key, value in changes.items()}
         cosim.run(academic, set=SHORT | named)
 
-    check_refused([(changes, message) for changes, message in WRONG_FILTERS], refuse, ScenarioError)
+    check_refused(WRONG_FILTERS, refuse, ScenarioError)
 
 
 def test_a_constant_alpha_has_no_bandwidth_and_hides_no_other_fault():

@@ -216,8 +216,7 @@ WRONG_OPTIONS = [
 def test_wrong_options_are_refused(loop, tmp_path):
     """Before the run, with the way out."""
 
-    def refuse(case):
-        names, changes = case
+    def refuse(names, changes):
         scenario = loop
         if "connections.plant.u[0]" in changes:
             document = tmp_path / "parts.toml"
@@ -227,7 +226,7 @@ def test_wrong_options_are_refused(loop, tmp_path):
         swapped = {"plant": str(field_log(tmp_path))}
         cosim.run(scenario, swap=swapped, map=names, set=changes)
 
-    cases = [(case, re.escape(text)) for *case, text in WRONG_OPTIONS]
+    cases = [(*case, re.escape(text)) for *case, text in WRONG_OPTIONS]
     check_refused(cases, refuse, ScenarioError)
 
 

@@ -123,7 +123,7 @@ def test_a_wrong_noise_is_refused(two):
         own = {f"identifier.{key}": value for key, value in options.items()}
         cosim.run(two, set=own if options else {"models.academic.A": UNSTABLE})
 
-    check_refused([(options, text) for options, text in NO_NOISE], refuse, CosimError)
+    check_refused(NO_NOISE, refuse, CosimError)
 
 
 @pytest.mark.fast("extended-kalman")

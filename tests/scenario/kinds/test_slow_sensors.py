@@ -154,7 +154,7 @@ def test_time_stamps_that_no_sensor_has_are_refused():
     def refuse(changes):
         run(time_stamps=True, **changes)
 
-    check_refused([(changes, text) for changes, text in NO_TIME_STAMPS], refuse, CosimError)
+    check_refused(NO_TIME_STAMPS, refuse, CosimError)
 
 
 @pytest.mark.slow

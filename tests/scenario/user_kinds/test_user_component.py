@@ -372,8 +372,7 @@ WRONG_STEPS = [
 def test_a_result_of_another_shape_and_a_changed_input_are_named(tmp_path):
     """Beside what is expected, and the line."""
 
-    def run(case):
-        method, body = case
+    def run(method, body):
         own_module(tmp_path, **{method: body})
         cosim.run(one(tmp_path), block=1)
 
