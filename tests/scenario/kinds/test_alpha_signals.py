@@ -254,12 +254,7 @@ WRONG_SIGNALS = [
     (EXPRESSION, ("schedule.y", SECOND), {}, "size 2 "),
     (EXPRESSION, ("schedule.y[2]", SECOND), {}, "schedule.y.* 2"),
     (EXPRESSION, ("schedule.y[0:2]", SECOND), {}, "expected one element of the output"),
-    (
-        DISCRETE,
-        BOTH,
-        {},
-        r"(?s)components.delta: .*jumps.*components.regressor: .* is discrete",
-    ),
+    (DISCRETE, BOTH, {}, r"(?s)components.delta: .*jumps.*components.regressor: .* is discrete"),
     (PROPORTIONAL, BOTH, {}, "components.regressor: .*proportional"),
     (EXPRESSION.replace(ALPHAS[1], "1/(t - 5)"), BOTH, {}, r"'schedule.y\[1\]': .*t = 5 s"),
     (EXPRESSION.replace("1.7*t", "170*t"), BOTH, {}, r"components.*0\.\d+ of .*'schedule.y\[0\]'"),

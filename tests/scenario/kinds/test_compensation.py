@@ -1,6 +1,5 @@
 """The compensator in a scenario: what it rejects, what it refuses, what it says."""
 
-import re
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -8,8 +7,6 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.report.summary import summarize
-from cosim.report.tables.run import print_summary
 from cosim.scenario.assumptions.method import ACTIVATION
 from cosim.scenario.assumptions.report import check_assumptions
 from cosim.scenario.building.build import Builder, parse
@@ -112,28 +109,6 @@ def test_the_internal_model_leaves_a_hundredth_of_the_error(runs):
     left = {name: rms(run["plant.y"][-400:, 0]) for name, run in runs.items()}
     assert 100.0 * left["model"] < left["feedback"]
     assert 100.0 * left["model"] < left["feedforward"] < left["feedback"]
-
-
-@pytest.mark.slow
-def test_the_report_says_when_the_internal_model_became_active(runs, capsys):
-    """With which theta, and what that changed; or why it stayed out; and so does its table."""
-    (summary,) = summarize(runs["model"]).compensations
-    active = runs["model"]["compensator.active"]
-    since = runs["model"].time_ns("compensator")[int(active.argmax())] / 1e9
-    assert summary.active_since == since
-    (first,) = summary.theta
-    assert 1.0 < first < 2.0
-    assert summary.last_theta == pytest.approx([1.6], abs=1e-4)
-    assert summary.before[0] > 100.0 * summary.after[0]
-    (summary,) = summarize(runs["feedback"]).compensations
-    assert summary.active_since is None
-    assert summary.reason == "internal_model = false"
-    assert summary.before[0] == pytest.approx(rms(runs["feedback"]["compensator.y"][:, 0]))
-    for run in (runs["model"], runs["feedback"]):
-        print_summary(run, wall={"run": 1.0}, profile=None, as_json=False, quiet=False)
-    lines = [line for line in capsys.readouterr().out.splitlines() if "internal model" in line]
-    assert re.fullmatch(r"internal model\tactive from \S+ s with theta = 1\..*", lines[0])
-    assert lines[1] == "internal model\tnot active: internal_model = false"
 
 
 @pytest.mark.slow
