@@ -77,7 +77,7 @@ class Echo:
         return rows
 '''
 
-HEAD = 'scenario = { name = "small", stop = 4.0, step = 0.01 }\n'
+HEAD = '[scenario]\nname = "small"\nstop = 4.0\nstep = 0.01\n'
 
 
 def write(folder, text):

@@ -100,7 +100,8 @@ def amplitudes(of_second):
 def sine(rate, delays=(1.0, 2.0, 3.0)):
     """Return a disturbance that aliases where its delays are too far apart."""
     terms = [{"family": "sine", "theta": rate}]
-    return {"regressor.terms": SINE, "delta.terms": terms, "regressor.delays": list(delays)}
+    own = {"regressor.terms": SINE, "regressor.delays": list(delays)}
+    return own | {"delta.terms": terms, "truth.identifier.theta": [rate]}
 
 
 SINE = [{"family": "sine"}]
