@@ -92,9 +92,7 @@ def test_a_frame_of_pandas_gives_its_index(tmp_path):
         "unit": frame.set_index(pandas.Index(1e3 * RAMP, name="instant [ms]")),
         "durations": durations,
         "range": frame.set_index(pandas.Index([0, 500, 1000, 1500], name="time_ms")),
-        "samples": timed.set_index(pandas.Index([0, 1, 2, 4], name="sample")),
         "rows": timed.rename_axis("row"),
-        "said: named": frame.set_index(pandas.Index(RAMP, name="instant")),
         "said: unnamed": frame[["y"]].set_index(pandas.Index(RAMP)),
     }
     for name, one in frames.items():

@@ -14,7 +14,6 @@ import cosim
 from cosim.errors import ScenarioError
 from cosim.log import open_log
 from cosim.scenario.record import IDENTIFICATION, recorded_identification, recorded_warnings
-from cosim.scenario.recordings.swap_comparison import compare_swaps
 from cosim.scenario.running.identifying import identifier_record, identify_records
 from cosim.theory.plants.descriptor import reduce
 from tests.scenario.refusals import check_refused
@@ -239,11 +238,6 @@ def test_data_that_differ_from_the_model_are_warned_of(experiment, tmp_path):
     ):
         assert text in warnings
     assert "samples causality" not in warnings
-    reports = compare_swaps(
-        experiment.scenario.swap(plant=experiment.written(tmp_path, experiment.y, header="t,level"))
-    )
-    assert any("'plant' has no output 'y'" in problem for problem in reports.problems)
-    assert any("plant.level may be plant.y" in hint for hint in reports.hints)
 
 
 def test_times_in_another_unit_are_suspected(experiment, tmp_path):

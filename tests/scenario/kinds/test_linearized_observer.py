@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import shutil
 from dataclasses import replace
 
@@ -16,7 +17,7 @@ from cosim.fmi.linearizing.request import LinearizationRequest
 from cosim.fmi.reading.model_description import read
 from cosim.scenario.assumptions.report import check_assumptions
 from cosim.scenario.exporting import export_component
-from cosim.scenario.kinds.linearizing import MovingModel, design_model, model_toml
+from cosim.scenario.kinds.linearizing import MovingModel, design_model, model_toml, split
 from tests.fmi.pendulum import FRICTION, G, jacobian, pendulum
 from tests.scenario.fmu_edits import rewritten
 from tests.scenario.refusals import check_refused
@@ -197,6 +198,22 @@ def test_a_table_names_its_operating_point_and_what_it_lacks(folder):
     assert f"it lacks c = {linearization.constants[0].tolist()} of x' = ... + c" in table
     assert f"Bu = {jacobian(0.5, 0.0, 1.0)[1][:, :1].tolist()}" in table
     assert "Bd" not in model_toml(linearization, [])
+
+
+def test_disturbances_are_named_by_elements_or_by_ports_that_exist(tmp_path):
+    """``f[1]`` and ``f[2]`` are the port ``f``."""
+
+    def renamed(xml):
+        return xml.replace('name="torque"', 'name="f[1]"').replace('name="wind"', 'name="f[2]"')
+
+    path = pendulum(tmp_path / "names.fmu", derivatives=True, edit=renamed)
+    linearization = linearize(path, outputs=["y"])
+    assert split(linearization, ["f[2]"]) == ([0], [1])
+    assert split(linearization, ["f"]) == ([], [0, 1])
+    for name in ("f[", ""):
+        message = re.escape(f"disturbance {name!r} is not an input of pendulum")
+        with pytest.raises(UsageError, match=message):
+            split(linearization, [name])
 
 
 # --- linearized anew along the estimate ---

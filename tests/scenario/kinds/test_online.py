@@ -118,6 +118,15 @@ def test_noise_leaves_an_error_of_the_standard_errors_size(options):
     np.testing.assert_allclose(log["identifier.amplitude"][-1] > 0.0, True)
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("without_verdicts")
+def test_fewer_samples_mean_larger_standard_errors():
+    """All of them tell more than those of 5 s forgetting, and these more than a constant lets."""
+    plain = standard_error(run("academic-noisy"))[-1]
+    for options in ({"window": 8.0}, {"forgetting": 5.0}, {"offset": True}):
+        assert (standard_error(run("academic-noisy", **options))[-1] > plain).all()
+
+
 @pytest.mark.usefixtures("without_verdicts")
 def test_amplitudes_are_those_at_the_beginning_of_the_window():
     """exp(theta t) there, as all are 1 at t = 0."""

@@ -232,7 +232,6 @@ TWO = VECTOR.replace('= "command.y"', '= ["command.y[0]", "ramp.y"]').replace(
 @pytest.mark.parametrize(
     ("text", "u"),
     [
-        (VECTOR, "[/cmd.values[0],/cmd.values[1]]"),
         (VECTOR, "/cmd.values"),
         (TWO, ["/cmd.values[0]", "/cmd.values[1]"]),
     ],
