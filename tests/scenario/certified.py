@@ -12,7 +12,17 @@ import numpy as np
 from cosim.core import Interface, Signal
 
 
-class Jump:
+class Static:
+    """Outputs without a memory."""
+
+    def initialize(self, t, u):
+        return self.outputs(t, u)
+
+    def advance(self, t, h, u):
+        return np.array([self.outputs(*point) for point in zip(t[1:], u[1:])])
+
+
+class Jump(Static):
     """y = sin t, and a jump at an instant that it tells nobody of."""
 
     interface = Interface((), (Signal("y"),))
@@ -20,17 +30,11 @@ class Jump:
     def __init__(self, instant: float):
         self.instant = instant
 
-    def initialize(self, t, u):
-        return self.outputs(t, u)
-
     def outputs(self, t, u):
         return np.array([np.sin(t) + (t >= self.instant)])
 
-    def advance(self, t, h, u):
-        return (np.sin(t[1:]) + (t[1:] >= self.instant))[:, np.newaxis]
 
-
-class Holder:
+class Holder(Static):
     """y is sin t at the last multiple of a time that it tells nobody of."""
 
     interface = Interface((), (Signal("y", variability="discrete"),))
@@ -38,29 +42,17 @@ class Holder:
     def __init__(self, every: float):
         self.every = every
 
-    def initialize(self, t, u):
-        return self.outputs(t, u)
-
     def outputs(self, t, u):
         return np.array([np.sin(np.floor(t / self.every + 1e-9) * self.every)])
 
-    def advance(self, t, h, u):
-        return np.array([self.outputs(instant, u) for instant in t[1:]])
 
-
-class Relay:
+class Relay(Static):
     """y = -sign(u): in a loop it switches at every step."""
 
     interface = Interface((Signal("u"),), (Signal("y"),), feedthrough={"y": ("u",)})
 
-    def initialize(self, t, u):
-        return self.outputs(t, u)
-
     def outputs(self, t, u):
         return -np.sign(u)
-
-    def advance(self, t, h, u):
-        return self.outputs(t, u[1:])
 
 
 class Echo:
@@ -85,13 +77,14 @@ class Echo:
         return rows
 '''
 
+HEAD = '[scenario]\nname = "small"\nstop = 4.0\nstep = 0.01\n'
+
 
 def write(folder, text):
     """Write a scenario of 4 s beside the module of the classes; return its path."""
     (folder / "parts.py").write_text(MODULE, encoding="utf-8")
     path = folder / "small.toml"
-    head = '[scenario]\nname = "small"\nstop = 4.0\nstep = 0.01\n'
-    path.write_text(head + dedent(text), encoding="utf-8")
+    path.write_text(HEAD + dedent(text), encoding="utf-8")
     return path
 
 
@@ -186,5 +179,4 @@ SPRING = """
 
 def parsed(text):
     """Return a scenario of 4 s without code of users."""
-    head = '[scenario]\nname = "small"\nstop = 4.0\nstep = 0.01\n'
-    return parse(Document(head + dedent(text), "small", Path()))
+    return parse(Document(HEAD + dedent(text), "small", Path()))

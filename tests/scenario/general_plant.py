@@ -36,19 +36,12 @@ disturbances = [0]
 """
 
 SCENARIO = """
-[scenario]
-name = "general"
-stop = 4.0
-step = 1e-2
+scenario = {{ name = "general", stop = 4.0, step = 1e-2 }}
 [models.m]
 {model}
-[components.u]
-kind = "sine"
-rate = 1.0
-[components.delta]
-kind = "sine"
-amplitude = 0.5
-rate = 2.0
+[components]
+u = {{ kind = "sine", rate = 1.0 }}
+delta = {{ kind = "sine", amplitude = 0.5, rate = 2.0 }}
 [components.plant]
 kind = "descriptor"
 model = "m"

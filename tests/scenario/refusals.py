@@ -8,24 +8,24 @@ from cosim.errors import UsageError
 
 
 def check_refused(
-    cases: Iterable[tuple[Any, str]],
-    act: Callable[[Any], object],
+    cases: Iterable[tuple[Any, ...]],
+    act: Callable[..., object],
     error: type[Exception] = UsageError,
 ) -> None:
     """Check that ``act`` refuses every case by ``error``, with place, names and values.
 
     Parameters
     ----------
-    cases : iterable of (case, pattern)
+    cases : iterable of (*case, pattern)
         The pattern is searched for in the message.
     act : callable
-        Called with each case.
+        Called with what makes each case.
     error : type of Exception
     """
     mismatches = []
-    for case, pattern in cases:
+    for *case, pattern in cases:
         try:
-            act(case)
+            act(*case)
         except error as refusal:
             if not re.search(pattern, str(refusal)):
                 mismatches.append(f"{case!r:.200}: expected {pattern!r}, got {str(refusal)!r}")

@@ -1,7 +1,7 @@
 """The certificate of a run: right where it gives a number, and none where it cannot know one."""
 
 import json
-from functools import cache, partial
+from functools import cache
 from signal import SIGINT, raise_signal
 
 import numpy as np
@@ -15,6 +15,7 @@ from cosim.scenario.running import certificate as certificate_module
 from tests.fmi import lag
 from tests.scenario import certified
 from tests.scenario.certified import lag_behind, write
+from tests.scenario.refusals import check_refused
 
 
 def certify(scenario, **settings):
@@ -65,14 +66,11 @@ def test_a_certificate_is_a_mapping():
     """Of the elements of outputs, as the run that it is of is one of signals."""
     log = cosim.run("academic", certify=True, stop=0.1, verdicts=False)
     certificate = cosim.certificate(log)
-    names = list(certificate)
-    assert len(certificate) == len(certificate.signals) == len(set(names))
-    assert {name.partition("[")[0] for name in names} <= set(log)
+    assert len(certificate) == len(certificate.signals) == len(set(certificate))
     assert "plant.x_a[1]" in certificate
     assert "plant.u" not in certificate  # an input: what drives it is there
     for name, error in certificate.items():
-        assert error is certificate[name]
-        assert error.signal == name
+        assert (certificate[name], error.signal) == (error, name)
     assert certificate.get("plant.z") is None
     text = r"'plant\.x_a'; available: plant\.x_a\[0\], plant\.x_a\[1\]$"
     with pytest.raises(UnknownSignalError, match=text):
@@ -97,19 +95,17 @@ def test_memory_is_bounded_and_the_estimate_nearly_the_same(monkeypatch):
 # --- runs that end early ---
 
 
-class InRun:
-    """Does something when a run of some number, from 0 on, has reached its end; for progress."""
+def interrupt_in(number):
+    """Return a progress that interrupts a run of some number, from 0 on, at its end."""
+    ended = []
 
-    def __init__(self, number, act):
-        self.number = number
-        self.act = act
+    def progress(time, end):
+        if time >= end:
+            ended.append(end)
+            if len(ended) == number + 1:
+                raise_signal(SIGINT)
 
-    def __call__(self, time, end):
-        if time < end:
-            return
-        if self.number == 0:
-            self.act()
-        self.number -= 1
+    return progress
 
 
 @pytest.mark.parametrize("number", [1, 2])
@@ -119,9 +115,8 @@ def test_an_interrupt_behind_the_run_leaves_its_log_whole(tmp_path, number):
     plain = cosim.run(scenario)
     path = tmp_path / "a.mcap"
     cosim.run(scenario, stop=0.1, out=path)  # an older one of that name
-    interrupt = InRun(number, partial(raise_signal, SIGINT))
     with pytest.raises(Interrupted, match="interrupted by the user") as raised:
-        cosim.run(scenario, out=path, force=True, certify=True, progress=interrupt)
+        cosim.run(scenario, out=path, force=True, certify=True, progress=interrupt_in(number))
     assert raised.value.__notes__ == [
         "no error estimate: a run with a smaller step did not complete",
         f"{path} holds the run up to t = 4.0 s",
@@ -160,9 +155,9 @@ def test_an_interrupted_search_says_that_nothing_is_written(tmp_path):
     path = tmp_path / "a.mcap"
     scenario = certified.parsed(certified.SMOOTH)
     old = cosim.run(scenario, out=path).recorded_hash
-    interrupt = InRun(1, partial(raise_signal, SIGINT))
+    find = {"lag.y": 1e-3}
     with pytest.raises(Interrupted) as raised:
-        cosim.run(scenario, out=path, force=True, find_step={"lag.y": 1e-3}, progress=interrupt)
+        cosim.run(scenario, out=path, force=True, find_step=find, progress=interrupt_in(1))
     assert raised.value.__notes__ == ["no step was found yet, so nothing is recorded"]
     assert cosim.open_log(path).recorded_hash == old
 
@@ -207,7 +202,7 @@ def test_an_fmu_that_takes_no_smaller_step_leaves_no_estimate(tmp_path):
 # --- where the confident sentence would be false ---
 
 
-@pytest.mark.parametrize("offset", [0.0, 1e-3, 2.4e-3, 4e-3, 6e-3, 9e-3])
+@pytest.mark.parametrize("offset", [0.0, 1e-3, 2.4e-3, 9e-3])
 def test_a_signal_behind_a_jump_between_points_has_no_estimate(tmp_path, offset):
     """A jump in the first quarter of a step looks like first order, with twice the true error.
 
@@ -300,7 +295,7 @@ def test_samples_of_unknown_components_count_as_regular_where_they_are(tmp_path)
     assert "holder.y jumps at an unknown instant" in found.reason
 
 
-@pytest.mark.parametrize("offset", [2e-4, 1e-3, 2.4e-3, 2.5e-3, 2.6e-3, 5e-3, 7.5e-3, 9.8e-3])
+@pytest.mark.parametrize("offset", [2e-4, 2.4e-3, 2.6e-3, 5e-3, 7.5e-3, 9.8e-3])
 def test_an_estimate_behind_a_bend_is_at_most_a_third_off(offset):
     """|t - s| and its straight line enclose the area s' (h - s'), which the lag takes over 0.5 s.
 
@@ -452,10 +447,20 @@ def test_a_noisy_sensor_with_a_period_keeps_the_order(period):
         assert certificate[signal].order == pytest.approx(2.0, abs=0.02), signal
 
 
-@pytest.mark.parametrize("effect", ["noise = 0.1", "drop = 0.5"])
-def test_noise_by_actions_is_refused(effect):
-    with pytest.raises(UsageError, match=r"step error: the action at 1.0 s draws random numbers"):
-        certify(ACTION.format(f'at = 1.0\nsignal = "gain.u"\n{effect}'))
+REFUSED = [
+    (ACTION.format('at = 1.0\nsignal = "gain.u"\nnoise = 0.1'), {}, "action at 1.0 s draws random"),
+    (ACTION.format('at = 1.0\nsignal = "gain.u"\ndrop = 0.5'), {}, "action at 1.0 s draws random"),
+    # the error of steps that a loop chooses is that of its tolerance
+    (certified.SPRING, {"scenario.substeps.rtol": 1e-3}, "step error: loops choose their .*rtol"),
+    (certified.SPRING, {"scenario.step": 2e-9, "scenario.stop": 1e-7}, "a quarter of .* 2e-09 s"),
+]
+
+
+def test_what_has_no_certificate_is_refused():
+    """Before its run; and certify is true or false."""
+    check_refused(REFUSED, lambda text, changes: certify(text, set=changes))
+    with pytest.raises(UsageError, match=r"certify: .* 1$"):
+        cosim.run("academic", certify=1)
 
 
 def test_noise_of_every_step_is_refused_by_name():
@@ -463,17 +468,6 @@ def test_noise_of_every_step_is_refused_by_name():
         with pytest.raises(UsageError, match="step error: sensor draws random numbers") as caught:
             cosim.run("academic-noisy", **options)
         assert "set={'sensor.period': '" in str(caught.value)
-
-
-def test_substeps_are_refused():
-    """The error of steps that a loop chooses is that of its tolerance."""
-    with pytest.raises(UsageError, match=r"step error: loops choose their steps .*rtol"):
-        certify(certified.SPRING, set={"scenario.substeps.rtol": 1e-3})
-
-
-def test_a_step_without_a_quarter_is_refused():
-    with pytest.raises(UsageError, match=r"a quarter of the step 2e-09 s is not a whole number"):
-        certify(certified.SPRING, set={"scenario.step": 2e-9, "scenario.stop": 1e-7})
 
 
 def test_a_recorded_component_is_refused_by_its_log(tmp_path):
@@ -485,11 +479,6 @@ def test_a_recorded_component_is_refused_by_its_log(tmp_path):
         (UsageError, ScenarioError), match=r"(?s)must also run with 0.005 s.*a.mcap"
     ):
         certify(scenario, swap={"force": path})
-
-
-def test_certify_is_true_or_false():
-    with pytest.raises(UsageError, match=r"certify: .* 1$"):
-        cosim.run("academic", certify=1)
 
 
 # --- loops of first and second order ---
@@ -567,6 +556,6 @@ def test_where_orders_mix_there_is_an_upper_bound():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(1, 14))
+@pytest.mark.parametrize("seed", range(1, 8))
 def test_every_output_of_a_random_loop_has_an_estimate_or_a_bound(seed):
     assert sum(check_random_loop(seed)) > 0

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import json
-import re
 
 import numpy as np
 import pytest
 
 import cosim
 from cosim.errors import UsageError
-from cosim.log.conversion.choice import LogChoice
-from cosim.log.conversion.files import convert
 from cosim.report.inspection import describe_samples
 from cosim.scenario.data_files.field_file import read_field_data
 from tests.log.foreign.field_logs import EPOCH, write_json
@@ -29,26 +26,17 @@ def written(folder, text, name="field.csv"):
 
 # --- times ---
 
+STAMPS = "y,Time\n1,2024-01-01\n2,2024-01-01 00:00:00.5\n3,2024-01-01T00:00:01.000000000Z\n"
+STAMPS += "4,2024-01-01 01:00:01.5+01:00\n"
 TIMES = [
     ("position,y,Time [s]\n1,1,0\n2,2,0.5\n3,3,1\n4,4,1.5\n", {}),
     ("T,time_ms,y\n1,0,1\n2,500,2\n3,1000,3\n4,1500,4\n", {}),
-    (
-        "n,y,Time (minutes)\n0,1,0\n3,2,0.008333333333333333\n6,3,0.016666666666666666\n9,4,0.025",
-        {},
-    ),
-    ("ramp,y,zeit [s]\n0,1,0\n3,2,0.5\n6,3,1\n9,4,1.5\n", {}),
+    ("y,Time (minutes)\n1,0\n2,0.008333333333333333\n3,0.016666666666666666\n4,0.025", {}),
     ("Zeit,Dauer [ms],y\n0,1,1\n0.5,2,2\n1,3,3\n1.5,4,4\n", {}),
     ("ramp,Milliseconds,y\n0,0,1\n3,500,2\n6,1000,3\n9,1500,4\n", {}),
     ("ramp,y,when\n0,1,00:00:00\n3,2,00:00:00.5\n6,3,00:00:01\n9,4,00:00:01.5\n", {}),
-    (
-        "y,Time Stamp\n1,2024-01-01\n2,2024-01-01 00:00:00.5\n"
-        "3,2024-01-01T00:00:01.000000000Z\n4,2024-01-01 01:00:01.5+01:00\n",
-        {"offset": "first"},
-    ),
-    (
-        ",y\n0 days 00:00:00,1\n0 days 00:00:00.500000,2\n0 days 00:00:01,3\n0 days 00:00:01.5,4\n",
-        {},
-    ),
+    (STAMPS, {"offset": "first"}),
+    (",y\n0 days 00:00:00,1\n0 days 00:00:00.500000,2\n0 days 00:00:01,3\n", {}),
     ("t,y\n0,1\n500000,2\n1000000,3\n1500000,4\n", {"time_unit": "us"}),
     ("n,t,y\n9,0,1\n8,0.5,2\n7,1,3\n6,1.5,4\n", {"time": "t"}),
     ("t,y\n7,1\n7.5,2\n8,3\n8.5,4\n", {"offset": 7.0}),
@@ -91,14 +79,6 @@ def test_numbers_for_dates_are_no_seconds(tmp_path):
         read_field_data(path, time="Date")
 
 
-@pytest.mark.parametrize(("one", "other"), [("timestamp", "time"), ("Beginn (s)", "Dauer [s]")])
-def test_two_columns_of_times_are_refused_with_the_key_that_decides(tmp_path, one, other):
-    path = written(tmp_path, f"{one},{other},y\n0,5,1\n1,6,2\n")
-    with pytest.raises(UsageError, match=rf"of times, got '{one[:4]}.*', '{other[:4]}.*by time"):
-        read_field_data(path)
-    assert read_field_data(path, time=other).t.tolist() == [5.0, 6.0]
-
-
 def test_a_frame_of_pandas_gives_its_index(tmp_path):
     """Of times, whatever is named like a time beside it; of others only where nothing else is.
 
@@ -112,9 +92,7 @@ def test_a_frame_of_pandas_gives_its_index(tmp_path):
         "unit": frame.set_index(pandas.Index(1e3 * RAMP, name="instant [ms]")),
         "durations": durations,
         "range": frame.set_index(pandas.Index([0, 500, 1000, 1500], name="time_ms")),
-        "samples": timed.set_index(pandas.Index([0, 1, 2, 4], name="sample")),
         "rows": timed.rename_axis("row"),
-        "said: named": frame.set_index(pandas.Index(RAMP, name="instant")),
         "said: unnamed": frame[["y"]].set_index(pandas.Index(RAMP)),
     }
     for name, one in frames.items():
@@ -185,26 +163,6 @@ def test_units_and_elements_come_from_the_names_of_the_columns(tmp_path):
     assert chosen.signals[1].unit == "mm"
 
 
-def test_a_table_of_many_columns_is_read_in_time_of_their_number(tmp_path):
-    """Elements of one vector, or signals of their own."""
-    for names in ([f"x[{i}]" for i in range(5_000)], [f"y{i}" for i in range(5_000)]):
-        text = ",".join(["t", *names]) + "\n" + ",".join(["0"] * 5_001) + "\n"
-        data = read_field_data(written(tmp_path, text))
-        assert sum(signal.values.shape[1] for signal in data.signals) == 5_000
-
-
-def test_a_log_written_as_a_table_is_read_as_it_was(tmp_path):
-    """By `to_pandas` and by `cosim convert`, whose fields have units."""
-    pytest.importorskip("pandas")
-    log = cosim.run("closed-loop", set={"scenario.stop": 0.1}, out=tmp_path / "a.mcap")
-    log.to_pandas().to_parquet(tmp_path / "frame.parquet")
-    convert(LogChoice.of(log), tmp_path / "converted.parquet")
-    for path in (tmp_path / "frame.parquet", tmp_path / "converted.parquet"):
-        data = read_field_data(path)
-        assert data.t.tolist() == log.t.tolist()
-        np.testing.assert_array_equal(data["plant.x_a"][:, 1], log["plant.x_a[1]"])
-
-
 def test_codes_for_missing_values_are_not_measured(tmp_path):
     """Numbers in every format, in quotes and as float32 too; texts as they are written."""
     pyarrow = pytest.importorskip("pyarrow")
@@ -256,6 +214,8 @@ NO_SAMPLES = [
     ("t,y\n0,1\n", {"decimal": ","}, r"separator: .*',', got ','"),
     ("t,y\n0,1\n", {"separator": "::"}, r"separator: .*got '::'"),
     ("t,y\n0,1\n", {"separator": ""}, r"separator: .*got ''"),
+    ("timestamp,time,y\n0,5,1\n", {}, r"of times, got 'timestamp', 'time'.*by time"),
+    ("Beginn (s),Dauer [s],y\n0,5,1\n", {}, r"of times, got 'Begi.*', 'Daue.*by time"),
     ("t,y\n0,1\n", {"missing": "-9999"}, r"^missing: expected .*, got '-9999'"),
     ("t,y\n0,1\n", {"offset": "firstt"}, r"^offset: expected .*, got 'firstt'"),
     ("t,y\n0,1\n", {"offset": True}, r"^offset: expected .*, got True"),
@@ -267,14 +227,13 @@ NO_SAMPLES = [
 def test_another_file_than_a_table_of_samples_is_refused(tmp_path):
     """With the line and the column, or the key, never with what stands there."""
 
-    def read(case):
-        text, options = case
+    def read(text, options):
         read_field_data(written(tmp_path, text), **options)
 
     of_file = r"(?s)^(?!.*n/a)(?=.*field\.csv|decimal|separator|columns|missing|offset|same_time)"
     cases = []
     for text, options, pattern in NO_SAMPLES:
-        cases.append(((text, options), pattern if pattern[0] == "^" else f"{of_file}.*{pattern}"))
+        cases.append((text, options, pattern if pattern[0] == "^" else f"{of_file}.*{pattern}"))
     check_refused(cases, read)
 
 
@@ -282,26 +241,13 @@ def test_info_shows_what_is_read(tmp_path):
     """Times, distances, signals with their units, how much was not measured, and how it is read."""
     path = written(tmp_path, "t [ms];y [mm];x[0];x[1]\n0;1;2;3\n1;;2;4\n4;1;2;4\n")
     content = describe_samples(str(path))
-    assert content["samples"] == {
-        "samples": 3,
-        "times": "0.0 s to 0.004 s",
-        "median distance": "0.002 s",
-        "largest distance": "0.003 s",
-    }
-    assert content["signals"] == [
-        {"signal": "y", "size": 1, "unit": "mm", "not measured": 1},
-        {"signal": "x", "size": 2, "unit": None, "not measured": 0},
-    ]
-    found = {row["read as"]: (row["found"], row["key"]) for row in content["reading"]}
-    assert found == {
-        "separator": (";", "separator"),
-        "decimal sign": (".", "decimal"),
-        "names": ("line 1", "skip"),
-        "not measured": ("empty cells, NaN", "missing"),
-        "times": ("'t'", "time"),
-        "time unit": ("ms", "time_unit"),
-        "t = 0": ("0", "offset"),
-    }
+    assert content["samples"]["times"] == "0.0 s to 0.004 s"
+    assert content["samples"]["largest distance"] == "0.003 s"
+    rows = [list(row.values()) for row in content["signals"]]
+    assert rows == [["y", 1, "mm", 1], ["x", 2, None, 0]]
+    found = {row["key"]: row["found"] for row in content["reading"]}
+    expected = {"separator": ";", "decimal": ".", "skip": "line 1", "missing": "empty cells, NaN"}
+    assert found == expected | {"time": "'t'", "time_unit": "ms", "offset": "0"}
 
 
 def test_a_column_of_texts_does_not_matter_where_others_are_used(tmp_path):
@@ -366,18 +312,3 @@ def test_options_that_select_no_samples_are_refused(recording, monkeypatch):
         ({"columns": {**y, "z": "/slow.z"}}, r"at most 60 numbers, got 3 at 25 times"),
     ]
     check_refused(cases, lambda options: cosim.read_field_data(recording, **options))
-
-
-def test_a_gap_of_more_than_twice_the_median_distance_is_noted(tmp_path):
-    """With its beginning, for the topic that has it; a gap of twice the distance is none."""
-    notes = {}
-    for missing in (1, 2):
-        rows = [i for i in range(20) if not 8 < i <= 8 + missing]
-        fast = [(EPOCH + i * 10 * MS, {"x": float(i)}) for i in rows]
-        slow = [(EPOCH + i * 40 * MS, {"z": float(i)}) for i in range(5)]
-        path = write_json(tmp_path / f"{missing}.mcap", {"/fast": fast, "/slow": slow})
-        data = cosim.read_field_data(path, columns={"x": "/fast.x", "z": "/slow.z"})
-        notes[missing] = data.diagnostics
-    assert notes[1] == ()
-    (note,) = notes[2]
-    assert re.search(r"2\.mcap', topic '/fast': .*0\.03 s.*t = 0\.08 s.*0\.01 s", note)

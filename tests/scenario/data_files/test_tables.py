@@ -135,16 +135,11 @@ def test_columns_are_found_with_and_without_their_units(written):
 def test_a_table_source_and_a_look_up_read_the_same_forms(tmp_path):
     """Semicolons, decimal commas and a row of units."""
     (tmp_path / "s.csv").write_text("t;level\nms;mm\n0;1,5\n1000;2,5\n", encoding="utf-16")
-    (tmp_path / "s.toml").write_text(
-        """
-        scenario = { name = "s", stop = 1.0, step = 0.5 }
-        [components]
-        u = { kind = "table", file = "s.csv" }
-        f = { kind = "look-up-table", file = "s.csv", columns = ["level", "t"], skip = 0 }
-        [connections]
-        "f.u" = "u.y"
-        """
-    )
+    u = '{ kind = "table", file = "s.csv" }'
+    f = '{ kind = "look-up-table", file = "s.csv", columns = ["level", "t"], skip = 0 }'
+    head = 'scenario = { name = "s", stop = 1.0, step = 0.5 }'
+    connections = '[connections]\n"f.u" = "u.y"\n'
+    (tmp_path / "s.toml").write_text(f"{head}\n[components]\nu = {u}\nf = {f}\n{connections}")
     log = cosim.run(tmp_path / "s.toml")
     assert log["u.y"].tolist() == [1.5, 2.0, 2.5]
     assert log["f.y"].tolist() == [0.0, 500.0, 1000.0]
@@ -312,12 +307,12 @@ def test_sheets_that_are_not_what_is_asked_for_are_refused(tmp_path, monkeypatch
     broken = tmp_path / "broken.xlsx"
     broken.write_bytes(b"PK\3\4")
     cases = [
-        ((two, {}), r"one sheet with cells, got one, two; .*by sheet"),
-        ((two, {"sheet": "tow"}), r"no sheet 'tow'; did you mean 'two'"),
-        ((formula, {}), r"sheet 'one', cell B3: .*formula.*save it in Excel"),
-        ((broken, {}), r"broken\.xlsx': not a valid Excel file"),
+        (two, {}, r"one sheet with cells, got one, two; .*by sheet"),
+        (two, {"sheet": "tow"}, r"no sheet 'tow'; did you mean 'two'"),
+        (formula, {}, r"sheet 'one', cell B3: .*formula.*save it in Excel"),
+        (broken, {}, r"broken\.xlsx': not a valid Excel file"),
     ]
-    check_refused(cases, lambda case: read_field_data(case[0], **case[1]))
+    check_refused(cases, lambda path, options: read_field_data(path, **options))
     monkeypatch.setitem(sys.modules, "openpyxl", None)
     with pytest.raises(UsageError, match=r"pip install 'cosim\[excel\]', or save .* as CSV"):
         read_table(two)
@@ -374,10 +369,7 @@ def test_parquet_without_a_table_of_samples_is_refused(tmp_path):
     cases = [
         ({"t": [0.0, 1.0], "y": ["a", "b"]}, r"column 'y': expected numbers, got type string"),
         ({"t": ["a", "b"], "y": [0.0, 1.0]}, r"column 't': expected numbers, got type string"),
-        (
-            {"t": [0.0, None], "y": [0.0, 1.0]},
-            r"row 2, column 't': expected a finite time, got an empty",
-        ),
+        ({"t": [0.0, None], "y": [0.0, 1.0]}, r"row 2, column 't': expected a finite time"),
         ({"t": [1.0, 0.5], "y": [0.0, 1.0]}, r"row 2: .*0.5 s after 1.0 s in row 1"),
         ({"t": [0.0, 1.0], "y": [0.0, np.inf]}, r"row 2, column 'y': .*finite number, got inf"),
         ({"t": [0, 1], "y": [0, 2**53 + 1]}, r"row 2, column 'y': .*2\*\*53"),
@@ -449,12 +441,8 @@ def test_a_trajectory_of_dymola_has_names_units_and_aliases(tmp_path, form):
     path.write_bytes(trajectory(form))
     data = read_field_data(path)
     assert data.t.tolist() == T
-    expected = {
-        "motor.w[1]": ("rad/s", Y),
-        "k": (None, [7.0] * 4),
-        "load.w": ("rad/s", [-y for y in Y]),
-        "der(m)": (None, [9.0] * 4),
-    }
+    expected = {"motor.w[1]": ("rad/s", Y), "load.w": ("rad/s", [-y for y in Y])}
+    expected |= {"k": (None, [7.0] * 4), "der(m)": (None, [9.0] * 4)}
     found = {one.name: (one.unit, one.values[:, 0].tolist()) for one in data.signals}
     assert found == expected
     (note,) = data.diagnostics

@@ -103,22 +103,3 @@ def test_a_bound_is_positive(bound):
     """Zero would be the interval of noise."""
     with pytest.raises(ScenarioError, match=rf"identifier\.irregular'\]: .*> 0, got {bound}$"):
         cosim.run("academic-noisy", set={"identifier.irregular": bound})
-
-
-@pytest.mark.slow
-def test_the_table_of_the_run_shows_the_intervals(call):
-    """Beside bound, confidence and reach to first order; or why there are none."""
-    options = ["--step=0.02", "--set=observer.filter_rate=50.0", "--set=identifier.irregular=0.002"]
-    _, output, _ = call("run", "academic-noisy", *options)
-    lines = [line.split("\t") for line in output.splitlines()]
-    place = next(i for i, line in enumerate(lines) if line[0] == "|delta_0| <= 0.002")
-    assert "noise within its bounds with probability 0.999" in lines[place][1]
-    label, text = lines[place + 2]
-    assert label == "identifier.theta[1]"
-    interval, _, first_order = text.partition("; ")
-    low, high = map(float, interval.split(" to "))
-    assert low < -0.3 < high
-    assert first_order.startswith("first order 0.007")
-    fixed = "--set=identifier.bounds=[[-1,0],[-0.3,-0.3]]"
-    _, output, _ = call("run", "academic-noisy", *options, fixed)
-    assert "|delta_0| <= 0.002\ttheta[1] was not estimated" in output

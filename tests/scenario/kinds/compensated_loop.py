@@ -6,34 +6,23 @@ from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import Document
 
 LOOP = """
-[scenario]
-name = "loop"
-stop = 40.0
-step = 0.01
+scenario = { name = "loop", stop = 40.0, step = 0.01 }
 [models.drive]
 n_a = 4
 A = [[0, 0, 1, 0], [0, 0, 0, 1], [-5, 4, -1.8, 0.8], [4, -5, 0.8, -1.8]]
 Bu = [[0], [0], [1], [0]]
 Bd = [[0], [0], [0], [1]]
 C = [[0, 1, 0, 0], [0, 0, 0, 1]]
-[components.delta]
-kind = "expression"
-y = "sin(1.6*t + 0.3)"
-[components.plant]
-kind = "descriptor"
-model = "drive"
-x_a0 = [0.0, 0.0, 0.0, 0.0]
+[components]
+delta = { kind = "expression", y = "sin(1.6*t + 0.3)" }
+theta = { kind = "constant", value = 1.6 }
+exact = { kind = "constant", value = 0.0 }
+plant = { kind = "descriptor", model = "drive", x_a0 = [0.0, 0.0, 0.0, 0.0] }
 [components.observer]
 kind = "unknown-input-observer"
 model = "drive"
 poles = [-6.0, -8.0]
 filter_rate = 50.0
-[components.theta]
-kind = "constant"
-value = 1.6
-[components.exact]
-kind = "constant"
-value = 0.0
 [components.compensator]
 kind = "compensator"
 Q = [1.0, 10.0, 1.0, 1.0]

@@ -17,73 +17,45 @@ from cosim.scenario.record import recorded_identification
 from tests.scenario.refusals import check_refused
 
 SOURCE = """
-[scenario]
-name = "source"
-stop = 3.0
-step = 0.01
-
-[components.delta]
-kind = "disturbance"
-terms = [
-{terms}
-]
+scenario = {{ name = "source", stop = 3.0, step = 0.01 }}
+[components]
+delta = {{ kind = "disturbance", terms = [{terms}] }}
 """
 
+MATRIX = "G0 = [[0, 1], [-4, 0]], c = [1, 0], constants = [1, 2]"
+STIFFNESS = "G0 = [[0, 1], [0, 0]], G = [[[0, 0], [-1, 0]]], c = [1, 0], parameters = ['stiffness']"
 # a term, and what it is
-TERMS = {
-    '{ family = "exponential", theta = -0.4, amplitude = 1.7 }': (
-        lambda t: 1.7 * math.exp(-0.4 * t)
-    ),
-    '{ family = "sine", theta = [2.0], phase = 0.3 }': lambda t: math.sin(2.0 * t + 0.3),
-    '{ family = "damped-sine", theta = [0.2, 2.0], amplitude = -1.5, phase = 0.3 }': (
-        lambda t: -1.5 * math.exp(-0.2 * t) * math.sin(2.0 * t + 0.3)
-    ),
-    '{ family = "damped-sine", theta = [-0.2, 2.0], amplitude = 1.5, phase = 0.3 }': (
-        lambda t: 1.5 * math.exp(0.2 * t) * math.sin(2.0 * t + 0.3)
-    ),
-    '{ alpha = "1 + t", family = "constant", level = -0.5 }': lambda t: -0.5 * (1.0 + t),
-    '{ family = "ramp", slope = -2.0, level = 1.0 }': lambda t: 1.0 - 2.0 * t,
-    '{ family = "polynomial", degree = 3, constants = [1.0, -2.0, 0.0, 0.5] }': (
-        lambda t: 1.0 - 2.0 * t + 0.5 * t**3
-    ),
-    '{ family = "t-exponential", theta = -0.7, level = 1.0, slope = 2.0 }': (
-        lambda t: (1.0 + 2.0 * t) * math.exp(-0.7 * t)
-    ),
-    '{ alpha = "2", family = "linear", G0 = [[0, 1], [-4, 0]], c = [1, 0], constants = [1, 2] }': (
-        lambda t: 2.0 * (math.cos(2.0 * t) + math.sin(2.0 * t))
-    ),
-    '{ family = "linear", G0 = [[0, 1], [0, 0]], G = [[[0, 0], [-1, 0]]], c = [1, 0], '
-    "parameters = ['stiffness'], theta = 4.0, constants = [1, 2] }": (
-        lambda t: math.cos(2.0 * t) + math.sin(2.0 * t)
-    ),
-}
+TERMS = [
+    ('family = "exponential", theta = -0.4, amplitude = 1.7', "1.7*exp(-0.4*t)"),
+    ('family = "sine", theta = [2.0], phase = 0.3', "sin(2*t + 0.3)"),
+    ('family = "damped-sine", theta = [0.2, 2.0], phase = 0.3', "exp(-0.2*t)*sin(2*t + 0.3)"),
+    ('family = "damped-sine", theta = [-0.2, 2.0], amplitude = -1.5', "-1.5*exp(0.2*t)*sin(2*t)"),
+    ('alpha = "1 + t", family = "constant", level = -0.5', "-0.5*(1 + t)"),
+    ('family = "ramp", slope = -2.0, level = 1.0', "1 - 2*t"),
+    ('family = "polynomial", degree = 3, constants = [1.0, -2.0, 0.0, 0.5]', "1 - 2*t + 0.5*t**3"),
+    ('family = "t-exponential", theta = -0.7, level = 1.0, slope = 2.0', "(1 + 2*t)*exp(-0.7*t)"),
+    (f'alpha = "2", family = "linear", {MATRIX}', "2*cos(2*t) + 2*sin(2*t)"),
+    (f'family = "linear", {STIFFNESS}, theta = 4.0, constants = [1, 2]', "cos(2*t) + sin(2*t)"),
+]
 
 
 def source(folder, terms):
-    return parse(Document(SOURCE.format(terms=",\n".join(terms)), "source", folder))
+    return parse(Document(SOURCE.format(terms=", ".join(terms)), "source", folder))
 
 
-@pytest.mark.parametrize("term", list(TERMS))
-def test_a_term_is_its_family(term, tmp_path):
-    """y = alpha(t) f(theta, t), by the closed form of each family."""
-    log = cosim.run(source(tmp_path, [term]))
-    t = log.time("delta.y")
-    expected = [TERMS[term](float(instant)) for instant in t]
-    # elementary functions to the last bit; a matrix exponential of norm 15 to 1e-14
-    np.testing.assert_allclose(log["delta.y"], expected, rtol=0, atol=1e-12)
+def test_a_term_is_its_family(tmp_path):
+    """y = alpha(t) f(theta, t), by the closed form of each family; an element is a sum of terms."""
+    terms = [f"{{ element = {i}, {term} }}" for i, (term, _) in enumerate(TERMS)]
+    constant = '{ element = 0, family = "constant", level = 2.0 }'
+    log = cosim.run(source(tmp_path, [*terms, constant]))
+    names = {"t": log.time("delta.y"), "sin": np.sin, "cos": np.cos, "exp": np.exp}
+    for i, (term, formula) in enumerate(TERMS):
+        # elementary functions to the last bit; a matrix exponential of norm 15 to 1e-14
+        expected = eval(formula, names) + (2.0 if i == 0 else 0.0)
+        np.testing.assert_allclose(log["delta.y"][:, i], expected, rtol=0, atol=1e-12, err_msg=term)
 
 
-def test_terms_are_added_in_their_elements(tmp_path):
-    """Of a disturbance of two elements each is the sum of its own terms, in any order."""
-    terms = list(TERMS)
-    at_second = [term.replace("{ ", "{ element = 1, ", 1) for term in terms[::2]]
-    log = cosim.run(source(tmp_path, [*at_second, *terms[1::2]]))
-    t = log.time("delta.y")
-    first = [sum(TERMS[term](float(x)) for term in terms[1::2]) for x in t]
-    second = [sum(TERMS[term](float(x)) for term in terms[::2]) for x in t]
-    np.testing.assert_allclose(log["delta.y"], np.array([first, second]).T, rtol=0, atol=1e-11)
-
-
+LINEAR = 'family = "linear", c = [1, 0], constants = [1, 1]'
 WRONG_TERMS = [
     ('family = "sinus", theta = 1.0', r"did you mean 'sine'"),
     ('family = "chirp", theta = 1.0', r"'chirp'"),
@@ -93,30 +65,17 @@ WRONG_TERMS = [
     ('family = "constant", theta = 1.0, level = 1.0', r"expected none, got 1 number: 1"),
     ('family = "constant"', r"level is missing; family 'constant'"),
     ('family = "ramp", constants = [1.0, 2.0]', r"constants: .*available: level, slope"),
-    (
-        'family = "polynomial", degree = 1, level = 1.0',
-        r"level: not a constant of family 'polynomial'; available: constants",
-    ),
-    (
-        'family = "polynomial", degree = 2, constants = [1.0]',
-        r"expected 3 \(level, slope, coefficient_2\), got 1 number: 1",
-    ),
+    ('family = "polynomial", degree = 1, level = 1.0', r"level: .*'polynomial'.*: constants"),
+    ('family = "polynomial", degree = 2, constants = [1.0]', r"expected 3 .*got 1 number: 1"),
     ('family = "ramp", level = 1.0', r"slope is missing; family 'ramp'"),
     ('family = "ramp", amplitude = 1.0', r"amplitude: not a constant of family 'ramp'"),
     ('family = "exponential", theta = 1.0, phase = 1.0', r"phase: .*'exponential'"),
-    (
-        'family = "sine", theta = 1.0, phase = 1.0, constants = [1.0, 1.0]',
-        r"constants: not a constant of family 'sine'; available: amplitude, phase",
-    ),
     ('family = "polynomial", constants = [1.0]', r"degree is missing; family 'polynomial'"),
     ('family = "polynomial", degree = 9, constants = [1.0]', r"degree: expected 0 to 8, got 9"),
     ('family = "ramp", degree = 1, level = 1.0, slope = 1.0', r"degree: .*'polynomial' only"),
     ('family = "linear", c = [1.0], constants = [1.0]', r"G0 is missing; family 'linear'"),
-    ('family = "linear", G0 = [[0, 1], [0]], c = [1, 0], constants = [1, 1]', r"G0: .*\[2, 1\]"),
-    (
-        'family = "linear", G0 = [[0, 0], [0, -1]], c = [1, 0], constants = [1, 1]',
-        r"terms\[0\]: .*'linear': c = \[1.0, 0.0\]",
-    ),
+    (f"{LINEAR}, G0 = [[0, 1], [0]]", r"G0: .*\[2, 1\]"),
+    (f"{LINEAR}, G0 = [[0, 0], [0, -1]]", r"terms\[0\]: .*'linear': c = \[1.0, 0.0\]"),
     ('family = "constant", level = 1.0, element = -1', r"element"),
 ]
 
@@ -133,10 +92,7 @@ def test_wrong_numbers_of_a_term_are_refused(tmp_path):
 
 
 PLANT = """
-[scenario]
-name = "identified"
-stop = 12.0
-step = 0.02
+scenario = {{ name = "identified", stop = 12.0, step = 0.02 }}
 
 [models.m]
 n_a = 2
@@ -191,14 +147,8 @@ def test_constants_of_every_name_are_told_with_their_verdicts(tmp_path):
     np.testing.assert_allclose(log["identifier.theta"][-1], [0.15, 2.0], rtol=1e-8)
     told = recorded_identification(log)["identifier"]
     values = {one.name: one.value for one in (*told.parameters, *told.amplitudes[0])}
-    expected = {
-        "theta[0]": 0.15,
-        "theta[1]": 2.0,
-        "amplitude[0]": 1.2,
-        "phase[0]": 0.5,
-        "level[1]": 0.7,
-        "slope[1]": -0.05,
-    }
+    expected = {"theta[0]": 0.15, "theta[1]": 2.0, "amplitude[0]": 1.2, "phase[0]": 0.5}
+    expected |= {"level[1]": 0.7, "slope[1]": -0.05}
     # exact data, but for the rounding of y, which a record of two slow functions magnifies
     assert values == pytest.approx(expected, rel=1e-6)
     reasons = {one.name: one.reason for one in told.amplitudes[0]}
@@ -273,9 +223,8 @@ def test_a_slow_sine_beside_a_constant_is_identified(tmp_path):
 
 PAIR = (
     (
-        PLANT[: PLANT.index("[models.m]")]
+        PLANT[: PLANT.index("n_a = 2")]
         + """
-[models.m]
 A = [[-1, 0.5, 0], [0, -2, 1], [0.3, 0, -1.5]]
 B = [[1, 1, 0], [0, 0, 1], [0.5, 0, 0]]
 disturbances = [1, 2]
@@ -283,7 +232,6 @@ C = [[1, 0, 0], [0, 1, 0]]
 """
         + PLANT[PLANT.index("[components]") :]
     )
-    .replace("n_a = 2\n", "")
     .replace("x_a0 = [1.0, -1.0]", "x0 = [1.0, -1.0, 0.5]")
     .replace("L = [4.0, 0.0], filter_rate = 100.0", "poles = [-4.0, -5.0], filter_rate = 200.0")
 )
@@ -346,34 +294,24 @@ INDISTINGUISHABLE = [
     ([RAMP, CONSTANT], "", r"both make a constant.*family 'ramp' is the sum of both"),
     ([SINE, CONSTANT], "bounds = [[0, 0]]", r"both make a constant.*merge them into one"),
     ([SINE, CONSTANT], "bounds = [[0, 1e-3]]", r"is a straight line in the 12 s of the run"),
-    (
-        [DECAY, DECAY],
-        "bounds = [[-1, -1], [-1, -1]]",
-        r"both make exp\(-1 t\): no data tell their constants apart",
-    ),
+    ([DECAY, DECAY], "bounds = [[-1, -1], [-1, -1]]", r"both make exp\(-1 t\): no data tell"),
     (EXCHANGED, "", r"regressor: .*'2' is a multiple of exp\(0\.5 t\) times alpha .* parameters"),
     # the linear route, from four alphas on; output error needs no independent products
     *((FOUR, f'method = "{method}"', UNKNOWNS) for method in ("least-squares", "gradient", "drem")),
-    (
-        PERIODIC,
-        'method = "least-squares"',
-        r"identifier: .* have rank 1; .*or method = \"output-error\", which needs neither",
-    ),
+    (PERIODIC, 'method = "least-squares"', r"identifier: .* have rank 1; .*\"output-error\""),
 ]
 
 
 def test_terms_that_no_data_or_not_this_method_tells_apart_are_refused(tmp_path):
     """Before the run, by families, alphas and bounds."""
 
-    def refuse(case):
-        terms, more = case
+    def refuse(terms, more):
         count = 1 + sum(2 if term["family"] in ("ramp", "sine") else 1 for term in terms)
         spacing = 1.0 if terms in (PERIODIC, EXCHANGED) else 0.4
         delays = [round(spacing * (j + 1), 1) for j in range(count)]
         cosim.run(identified(tmp_path, terms, delays, more))
 
-    cases = [(case, message) for *case, message in INDISTINGUISHABLE]
-    check_refused(cases, refuse, CosimError)
+    check_refused(INDISTINGUISHABLE, refuse, CosimError)
 
 
 def test_elements_may_have_signals_as_alphas(tmp_path):
@@ -411,12 +349,10 @@ WRONG_ELEMENTS = [
 def test_elements_that_do_not_fit_are_refused(tmp_path):
     """Every element of delta has terms, and the method can do with several."""
 
-    def refuse(case):
-        terms, more = case
+    def refuse(terms, more):
         cosim.run(identified(tmp_path, terms, [0.5, 1.0, 1.5], more, PAIR))
 
-    cases = [(case, message) for *case, message in WRONG_ELEMENTS]
-    check_refused(cases, refuse, CosimError)
+    check_refused(WRONG_ELEMENTS, refuse, CosimError)
 
 
 def test_the_assumptions_of_every_element_are_told(tmp_path):
@@ -426,12 +362,3 @@ def test_the_assumptions_of_every_element_are_told(tmp_path):
     assert all(told[name].fulfilled for name in (CLASS, DELAYS, OF_ALPHAS))
     assert "element 1: exponential: 1 basis functions" in told[CLASS].evidence
     assert told[CLASS].values == {"basis_functions": 3, "groups": 2, "terms": 5}
-
-
-def test_output_error_needs_no_independent_products_of_many_alphas(tmp_path):
-    """Four exponentials of different alphas are identified, and none of it is reported to fail."""
-    terms = exponentials(-0.05, -0.3, -0.8, -2.0)
-    told = check_assumptions(identified(tmp_path, terms, [0.4, 0.8, 1.2, 1.6, 2.0]))
-    own = told.of("regressor")
-    assert all(own[name].fulfilled for name in (CLASS, DELAYS, OF_ALPHAS))
-    assert 'method = "output-error"' in own[CLASS].evidence

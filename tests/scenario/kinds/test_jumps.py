@@ -27,8 +27,7 @@ def run(folder, table, *, start_time=0.0, stop=1.0, step=H):
     """Run a source with an integrator behind it: x' = u."""
     text = (
         f'[scenario]\nname = "u"\nstart_time = {start_time}\nstop = {stop}\nstep = {step}\n'
-        f"[components.u]\n{table}\n"
-        '[components.x]\nkind = "controller"\nA = [[0.0]]\nB = [[1.0]]\nC = [[1.0]]\n'
+        f'[components.u]\n{table}\n[components.x]\nkind = "integrator"\n'
         '[connections]\n"x.u" = "u.y"\n'
     )
     return cosim.run(parse(Document(text, "u", folder)))
@@ -44,10 +43,8 @@ HELD = 'kind = "table"\ninterpolation = "zero-order"\n'
         (HELD + "t = [0.0, 0.3, 2.0]\ny = [1.0, 1.0, 3.0]", 1.0),
         (HELD + "t = [0.0, 0.5, 0.5, 2.0]\ny = [1.0, 1.0, 3.0, 3.0]", 2.0),
         (HELD + "t = [0.0, 0.0, 0.5, 0.5, 0.5, 2.0]\ny = [9.0, 1.0, 1.0, 8.0, 3.0, 3.0]", 2.0),
-        (HELD + 't = [0.5, 0.5]\ny = [1.0, 3.0]\nextrapolation = "hold"', 2.0),
         (HELD + 't = [0.25, 0.5]\ny = [1.0, 3.0]\nextrapolation = "hold"', 2.0),
         ('kind = "expression"\ny = "1 + 2*step(t - 0.5)"\ndiscrete = true', 2.0),
-        ('kind = "expression"\ny = "2 + (2*step(t - 0.5) - 1)"\ndiscrete = true', 2.0),
         ('kind = "expression"\ny = "1 + step(t) + step(t - 3)"', 2.0),
         ('kind = "expression"\ny = "8*max(0, t - 0.5)"', 1.0),
         ('kind = "table"\nt = [0.0, 0.5, 1.0]\ny = [0.0, 0.0, 4.0]', 1.0),
@@ -66,44 +63,29 @@ def test_an_integral_over_a_source_is_exact(tmp_path, table, integral):
 
 EXPRESSION = 'kind = "expression"\n'
 SAMPLED = EXPRESSION + "discrete = true\n"
-DISTURBANCE = 'kind = "disturbance"\n'
+TERM = '{ alpha = "step(t - 0.5)", family = "sine", theta = 1.0 }'
+DISTURBANCE = f'kind = "disturbance"\nterms = [{TERM}]'
+TABLE = 'kind = "table"\n'
+Y = "\ny = [0.0, 1.0, 3.0, 4.0]"
 
 
 WRONG_JUMPS = [
+    (f"{HELD}t = [0.0, 0.37, 0.6, 2.0]{Y}", r"y jumps at t\[1\] = 0\.37 s.* 0\.25 s or .*\(2 such"),
+    (f"{TABLE}t = [0.0, 0.5, 0.5, 2.0]{Y}", r"t\[1\] and t\[2\] are both 0\.5 s.*zero-order"),
+    (f"{HELD}t = [0.0, 0.5, 0.4, 2.0]{Y}", r"t\[2\] = 0\.4 s.* 0\.5 s"),
     (
-        HELD + "t = [0.0, 0.37, 0.5, 0.6, 2.0]\ny = [0.0, 3.0, 4.0, 5.0, 5.0]",
-        r"table: y jumps at t\[1\] = 0\.37 s.* 0\.25 s or 0\.375 s \(2 such instants\)",
+        f"{HELD}t = [0.0, 0.3, 0.3, 2.0]\ny = [0, 0, 3, 3]",
+        r"table: y jumps at t\[2\] = 0\.3 s.* 0\.375 s",
     ),
-    (
-        'kind = "table"\nt = [0.0, 0.5, 0.5, 2.0]\ny = [0.0, 1.0, 3.0, 3.0]',
-        r"t\[1\] and t\[2\] are both 0\.5 s, a jump.*interpolation = .zero-order.",
-    ),
-    (HELD + "t = [0.0, 0.5, 0.4, 2.0]\ny = [0.0, 1.0, 3.0, 3.0]", r"t\[2\] = 0\.4 s.* 0\.5 s"),
-    (
-        HELD + "t = [0.0, 0.3, 0.3, 2.0]\ny = [0.0, 0.0, 3.0, 3.0]",
-        r"table: y jumps at t\[2\] = 0\.3 s.* 0\.25 s or 0\.375 s",
-    ),
-    (
-        'kind = "table"\nt = [0.5, 2.0]\ny = [0.0, 1.0]',
-        r'0\.0 s to 1\.0 s .*0\.5 s to 2\.0 s; extrapolation = "hold"',
-    ),
-    (
-        EXPRESSION + 'y = "step(t - 0.5)"',
-        r"step\(t - 0\.5\) jumps at 0\.5 s; .*ramp over one step; set discrete = true",
-    ),
+    (f"{TABLE}t = [0.5, 0.6, 0.7, 2.0]{Y}", r'1\.0 s .*0\.5 s to 2\.0 s; extrapolation = "hold"'),
+    (EXPRESSION + 'y = "step(t - 0.5)"', r"step\(t - 0\.5\) jumps at 0\.5 s; .*discrete = true"),
     (EXPRESSION + 'y = "t + sign(sin(t))"', r"sign\(sin\(t\)\) jumps; "),
     (EXPRESSION + 'y = "sign(t)"', r"sign\(t\) jumps at 0\.0 s"),
     (EXPRESSION + 'y = ["1", "step(1 - 2*t)"]', r"step\(1 - 2 \* t\) jumps at 0\.5 s"),
     (SAMPLED + 'y = "step(t - 0.37)"', r"step\(t - 0\.37\) jumps at 0\.37 s.* 0\.25 s or 0\.375 s"),
-    (
-        SAMPLED + 'y = "sign(t - 0.5)"',
-        r"sign\(t - 0\.5\) .* 0\.5 s .*; write 2\*step\(t - 0\.5\) - 1",
-    ),
+    (SAMPLED + 'y = "sign(t - 0.5)"', r"sign\(t - 0\.5\) .*; write 2\*step\(t - 0\.5\) - 1"),
     (SAMPLED + 'y = "step(0.5 - t)"', r"write 1 - step\(t - 0\.5\)"),
-    (
-        DISTURBANCE + 'terms = [{ alpha = "step(t - 0.5)", family = "sine", theta = 1.0 }]',
-        r"step\(t - 0\.5\) jumps at 0\.5 s.*expected continuous alphas",
-    ),
+    (DISTURBANCE, r"step\(t - 0\.5\) jumps at 0\.5 s.*expected continuous alphas"),
     ('kind = "step"\ntime = 0.37', r"time: .*0\.37 s.*0\.125 s"),
 ]
 
@@ -114,7 +96,7 @@ def test_a_jump_that_would_be_wrong_is_refused(tmp_path):
     def refuse(table):
         run(tmp_path, table)
 
-    check_refused([(table, text) for table, text in WRONG_JUMPS], refuse, ScenarioError)
+    check_refused(WRONG_JUMPS, refuse, ScenarioError)
 
 
 def test_a_value_that_rounding_delays_is_refused(tmp_path):
@@ -186,8 +168,7 @@ def test_a_held_table_may_have_the_stamps_of_a_step_that_is_a_fraction():
 
 def test_a_regressor_refuses_alphas_that_jump():
     """The delayed instants t - D are rounded, so a product could have one of them a step late."""
-    alpha = "1 + step(t - 1)"
-    terms = [{"alpha": alpha, "family": "exponential"}]
+    terms = [{"alpha": "1 + step(t - 1)", "family": "exponential"}]
     with pytest.raises(ScenarioError, match=r"step\(t - 1\) jumps at 1\.0 s.*continuous alpha"):
         cosim.run("academic", set={"regressor.terms": terms, "regressor.delays": [0.1, 0.2]})
 

@@ -51,22 +51,6 @@ def test_an_observer_designed_on_the_fmu_is_the_one_of_the_matrices(folder):
 
 
 @pytest.mark.slow
-def test_an_observer_designed_by_differences_identifies_the_same(folder, foreign3):
-    """Its plant has the states x1, x2; a matrix entry is wrong by at most 1e-12 (its own estimate).
-
-    An entry of A_a that is wrong by e makes delta_hat wrong by e |x_a| / |C3 B_2a| = e, and theta2
-    errs by less than 1e2 times as much (as for rounding in ``test_swap``): 1e-10.
-    """
-    model = {"fmu": str(foreign3), "disturbance": "delta"}
-    matrices = cosim.run("academic")
-    fmu = cosim.run("academic", set={"observer.model": model})
-    metadata = json.loads(fmu.metadata["cosim.component.observer"]["metadata"])
-    errors = metadata["linearization"]["result"]["errors"]
-    assert max(errors.values()) <= 1e-12
-    assert abs(fmu["identifier.theta"][-1] - matrices["identifier.theta"][-1]).max() <= 1e-10
-
-
-@pytest.mark.slow
 def test_a_replay_needs_the_log_alone(folder, tmp_path):
     """The linearization is in the log: the FMU may be gone.
 
@@ -94,51 +78,20 @@ def test_a_replay_needs_the_log_alone(folder, tmp_path):
         cosim.replay(log, set={"observer.model.at": 1.0, "observer.model.fmu": "plant.fmu"})
 
 
-@pytest.mark.slow
-def test_an_input_that_reaches_y_directly_may_be_the_unknown_one(folder):
-    """y = x1 - u: u follows from y without a derivative, so without the error of a filter.
-
-    The zeros are at -2, twice; after 10 s t e^-2t of the start is left, 5e-8 of it.
-    """
-    model = {**MODEL, "disturbance": "u"}
-    options = {"observer.model": model, "scenario.stop": 12.0, "observer.L": [0.0, 0.0]}
-    connections = {"connections.observer.u": "delta.y"}
-    run = cosim.run(folder / "academic.toml", set={**options, **connections})
-    late = run.time("observer.delta") > 10.0
-    error = np.abs(run["observer.delta"] - run["u.y"])[late]
-    assert error.max() < 5e-7  # straight lines within a step of 1 ms: h^2/12 w''
-
-
-def swing(folder, amplitude, **model):
-    """Write a pendulum in a wind that the observer is to find."""
-    table = {
-        "fmu": "pendulum.fmu",
-        "disturbance": "wind",
-        "start": {"theta": 0.5, "torque": 4.0},
-        **model,
-    }
-    inline = json.dumps(table).replace('": ', '" = ')
-    (folder / "swing.toml").write_text(
-        f"""
-[scenario]
-name = "swing"
-stop = 4.0
-step = 1e-3
-[components.torque]
-kind = "constant"
-value = 4.0
-[components.wind]
-kind = "sine"
-amplitude = {amplitude}
-rate = 2.0
+START = {"theta": 0.5, "torque": 4.0}
+SWING = f"""
+scenario = {{{{ name = "swing", stop = 4.0, step = 1e-3 }}}}
+[components]
+torque = {{{{ kind = "constant", value = 4.0 }}}}
+wind = {{{{ kind = "sine", amplitude = {{amplitude}}, rate = 2.0 }}}}
 [components.plant]
 kind = "fmu"
 path = "pendulum.fmu"
 interface_type = "me"
-start = {{ theta = {math.asin(4.0 / 9.81)!r} }}
+start = {{{{ theta = {math.asin(4.0 / 9.81)!r} }}}}
 [components.observer]
 kind = "unknown-input-observer"
-model = {inline}
+model = {{model}}
 poles = [-5.0]
 x_a0 = [{math.asin(4.0 / 9.81)!r}, 0.0]
 filter_rate = 1e4
@@ -148,7 +101,13 @@ filter_rate = 1e4
 "observer.u" = "torque.y"
 "observer.y" = "plant.y"
 """
-    )
+
+
+def swing(folder, amplitude, **model):
+    """Write a pendulum in a wind that the observer is to find."""
+    table = {"fmu": "pendulum.fmu", "disturbance": "wind", **model}
+    inline = json.dumps({"start": START, **table}).replace('": ', '" = ')
+    (folder / "swing.toml").write_text(SWING.format(amplitude=amplitude, model=inline))
     return folder / "swing.toml"
 
 
@@ -185,24 +144,15 @@ def test_the_signals_of_the_observer_have_the_units_of_the_fmu(folder):
 
 
 REFUSED = [
-    ({"fmu": "no.fmu", "disturbance": "delta"}, r"components\.observer: .*no\.fmu"),
-    (
-        {**MODEL, "disturbance": "detla"},
-        r"components\.observer: .*'detla' is not an input of academic_plant; did you mean 'delta'",
-    ),
+    ({**MODEL, "fmu": "no.fmu"}, r"components\.observer: .*no\.fmu"),
+    ({**MODEL, "disturbance": "detla"}, r"observer: .*'detla' is not an input .*mean 'delta'"),
     ({**MODEL, "disturbance": ["delta", "delta"]}, r"disturbance 'delta' is named twice"),
     ({**MODEL, "inputs": ["u", "delta"]}, r"academic_plant: input 'delta' is named twice"),
     ({**MODEL, "outputs": ["yy"]}, r"academic_plant: no output 'yy'; did you mean 'y'\?"),
-    (
-        {"fmu": "nameless.fmu", "disturbance": "delta"},
-        r"academic_plant: .*'y'; did you mean 'y_m'\?.*: y_m, x_a",
-    ),
-    ({"fmu": "cs.fmu", "disturbance": "delta"}, r".*cs\.fmu: is for co-simulation only"),
+    ({**MODEL, "fmu": "nameless.fmu"}, r"academic_plant: .*'y'; did you mean 'y_m'\?.*: y_m, x_a"),
+    ({**MODEL, "fmu": "cs.fmu"}, r".*cs\.fmu: is for co-simulation only"),
     ({"fmu": "plant.fmu"}, r"observer\.model('\])?: 'disturbance' is missing"),
-    (
-        {**MODEL, "output": ["y"]},
-        r"observer\.model\.output: unknown key 'output'; did you mean 'outputs'\?",
-    ),
+    ({**MODEL, "output": ["y"]}, r"observer\.model\.output: unknown key 'output'"),
     (3, r"observer\.model('\])?: expected a string or a table, got 3"),
 ]
 
@@ -221,7 +171,7 @@ def test_an_fmu_without_a_design_model_is_refused(folder, foreign2):
 
 @pytest.mark.slow
 def test_a_table_of_a_scenario_is_the_same_model(folder):
-    """The printed [models] table, in the place of the shipped one.
+    """The printed [models] table, in the place of the shipped one; it lacks what is not there.
 
     y = x1 - u by its D gives the same theta; the plant's x is the x_a of the matrices.
     """
@@ -241,43 +191,26 @@ def test_a_table_of_a_scenario_is_the_same_model(folder):
 
 
 def test_a_table_names_its_operating_point_and_what_it_lacks(folder):
-    """The constants are named; what is not there is left out: known inputs, disturbances."""
+    """The constants are named; what is not there is left out."""
     linearization = linearize(folder / "pendulum.fmu", outputs=["y"], start={"torque": 1.0})
     table = model_toml(linearization, ["wind"])
-    assert (
-        "# pendulum linearized at t = 0.0 s, theta = 0.5, omega = 0.0, torque = 1.0, wind = 0.0"
-        in table
-    )
-    c = linearization.constants[0].tolist()
-    assert (
-        f"# for deviations from this point: it lacks c = {c} of x' = ... + c "
-        "and d = [0.0] of y = ... + d" in table
-    )
+    assert "linearized at t = 0.0 s, theta = 0.5, omega = 0.0, torque = 1.0, wind = 0.0" in table
+    assert f"it lacks c = {linearization.constants[0].tolist()} of x' = ... + c" in table
     assert f"Bu = {jacobian(0.5, 0.0, 1.0)[1][:, :1].tolist()}" in table
-    assert "Bu" not in model_toml(linearization, ["torque", "wind"])
-    calm = model_toml(linearization, [])
-    assert "Bd" not in calm
-    assert "delta" not in calm
+    assert "Bd" not in model_toml(linearization, [])
 
 
-@pytest.mark.parametrize(
-    ("names", "whole", "refused"),
-    [(("f[1]", "f[2]"), ([], [0, 1]), ("f[", "")), (("f[1,1]", "f[1,2]"), None, ("f", "f[1", ""))],
-)
-def test_disturbances_are_named_by_elements_or_by_ports_that_exist(tmp_path, names, whole, refused):
-    """``f[1]`` and ``f[2]`` are the port ``f``; ``f[1,1]`` and ``f[1,2]`` are two inputs."""
+def test_disturbances_are_named_by_elements_or_by_ports_that_exist(tmp_path):
+    """``f[1]`` and ``f[2]`` are the port ``f``."""
 
     def renamed(xml):
-        for old, new in zip(("torque", "wind"), names, strict=True):
-            xml = xml.replace(f'name="{old}"', f'name="{new}"')
-        return xml
+        return xml.replace('name="torque"', 'name="f[1]"').replace('name="wind"', 'name="f[2]"')
 
     path = pendulum(tmp_path / "names.fmu", derivatives=True, edit=renamed)
     linearization = linearize(path, outputs=["y"])
-    assert split(linearization, [names[1]]) == ([0], [1])
-    if whole is not None:
-        assert split(linearization, ["f"]) == whole
-    for name in refused:
+    assert split(linearization, ["f[2]"]) == ([0], [1])
+    assert split(linearization, ["f"]) == ([], [0, 1])
+    for name in ("f[", ""):
         message = re.escape(f"disturbance {name!r} is not an input of pendulum")
         with pytest.raises(UsageError, match=message):
             split(linearization, [name])
@@ -288,13 +221,9 @@ def test_disturbances_are_named_by_elements_or_by_ports_that_exist(tmp_path, nam
 
 def far_swing(folder):
     """Write a swing of 1.3 rad, of which y and the height are measured; the start is not known."""
-    path = swing(folder, 2.5, outputs=["y", "reach"])
-    text = path.read_text()
-    text = text.replace('"observer.y" = "plant.y"', '"observer.y" = ["plant.y", "plant.reach"]')
-    text = text.replace("poles = [-5.0]", "poles = [-4.0, -5.0]")
-    far = folder / "far.toml"
-    far.write_text(text)
-    return far
+    far = cosim.load(swing(folder, 2.5, outputs=["y", "reach"]))
+    y = ["plant.y", "plant.reach"]
+    return far.set({"connections.observer.y": y, "observer.poles": [-4.0, -5.0]})
 
 
 ANEW = {"observer.relinearize": True, "observer.x_a0": [0.0, 0.0], "observer.filter_rate": 1e3}
@@ -340,18 +269,6 @@ def test_the_local_model_is_exact_at_its_point(folder):
     np.testing.assert_allclose(y, [torque * omega, push], atol=1e-14)
 
 
-@pytest.mark.slow
-def test_differences_do_where_the_fmu_has_no_derivatives(folder):
-    """Both ways lead to the same estimates."""
-    pendulum(folder / "plain.fmu", derivatives=False, level=False)
-    short = {**ANEW, "scenario.step": 5e-3, "scenario.stop": 0.2, "observer.poles": [-5.0]}
-    scenario = swing(folder, 2.5)
-    exact = cosim.run(scenario, set=short)
-    differences = cosim.run(scenario, set={**short, "observer.model.fmu": "plain.fmu"})
-    np.testing.assert_allclose(differences["observer.x_a"], exact["observer.x_a"], atol=1e-8)
-    np.testing.assert_allclose(differences["observer.delta"], exact["observer.delta"], atol=1e-6)
-
-
 def test_its_assumptions_are_decided_at_the_operating_point_alone(folder):
     """Where the estimate will be, and the model linearized, only the run knows."""
     report = check_assumptions(swing(folder, 2.5), set=ANEW)
@@ -377,43 +294,29 @@ def test_a_replay_takes_it_from_the_log(folder, tmp_path):
 
 def test_a_run_stops_where_the_disturbance_does_not_reach_the_outputs_any_more(folder):
     """d/dt power = torque omega' + ...: of a torque that passes zero it knows nothing there."""
+    fading = {
+        "torque": {"kind": "ramp", "offset": 4.0, "slope": -8.0},
+        "connections.observer.y": ["plant.power", "plant.angle"],
+        "observer.poles": [-4.0, -5.0],
+    }
     path = swing(folder, 0.5, outputs=["power", "angle"])
-    text = path.read_text()
-    text = text.replace('"observer.y" = "plant.y"', '"observer.y" = ["plant.power", "plant.angle"]')
-    text = text.replace(
-        'kind = "constant"\nvalue = 4.0', 'kind = "ramp"\noffset = 4.0\nslope = -8.0'
-    )
-    text = text.replace("poles = [-5.0]", "poles = [-4.0, -5.0]")
-    fading = folder / "fading.toml"
-    fading.write_text(text)
-    message = (
-        r"observer.*linearized at the estimate x_a = \[\S+, \S+\] at t = 0\.5 s: .*Assumption 5"
-    )
+    message = r"observer.*at the estimate x_a = \[\S+, \S+\] at t = 0\.5 s: .*Assumption 5"
     with pytest.raises(RunError, match=message):
-        cosim.run(fading, set={**ANEW, "scenario.step": 5e-3, "scenario.stop": 1.0})
+        cosim.run(path, set={**ANEW, **fading, "scenario.step": 5e-3, "scenario.stop": 1.0})
 
 
 OF_FMU = {"observer.relinearize": True, "observer.model": MODEL}
+COMPENSATED = {
+    "components.c": {"kind": "compensator", "poles": [-1.0, -2.0]},
+    "connections.c.x_a": "observer.x_a",
+}
 ANEW_REFUSED = [
     ({"observer.relinearize": True}, "got the linear model 'academic'"),
-    (
-        {**OF_FMU, "observer.filter": "consistent"},
-        "relinearize: expected filter = \"first-order\", got 'consistent'",
-    ),
-    ({**OF_FMU, "observer.q0": [0.0]}, "q0: not available with relinearize = true"),
+    (OF_FMU | {"observer.filter": "consistent"}, 'relinearize: .*"first-order", .*\'consistent'),
+    (OF_FMU | {"observer.q0": [0.0]}, "q0: not available with relinearize = true"),
     (OF_FMU, "'observer' is relinearized during the run, so y"),
-    (
-        {
-            **OF_FMU,
-            "components.c": {"kind": "compensator", "poles": [-1.0, -2.0]},
-            "connections.c.x_a": "observer.x_a",
-        },
-        "'observer' is relinearized during the run; stability",
-    ),
-    (
-        {**OF_FMU, "observer.x_a0": [0.0]},
-        "x_a0: expected 2 numbers, one per state of the FMU, got 1",
-    ),
+    (OF_FMU | COMPENSATED, "'observer' is relinearized during the run; stability"),
+    (OF_FMU | {"observer.x_a0": [0.0]}, "x_a0: expected 2 numbers, one per state of the FMU"),
 ]
 
 
@@ -425,4 +328,4 @@ def test_options_of_another_filter_or_model_are_refused(folder):
 
     check_refused(ANEW_REFUSED, refuse, ScenarioError)
     with pytest.raises(UsageError, match="relinearize = false"):
-        export_component(cosim.load(far_swing(folder)).set(ANEW), "observer", folder / "x.fmu")
+        export_component(far_swing(folder).set(ANEW), "observer", folder / "x.fmu")

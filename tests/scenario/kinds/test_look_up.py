@@ -11,40 +11,28 @@ from tests.scenario.refusals import check_refused
 
 def run(folder, table, inputs=("u",), **more):
     """Run a look-up table on ramps: u, u1 are t, u2 is 2 t."""
-    text = (
-        '[scenario]\nname = "f"\nstop = 1.0\nstep = 0.25\n'
-        '[components.once]\nkind = "ramp"\nslope = 1.0\n'
-        '[components.twice]\nkind = "ramp"\nslope = 2.0\n'
-        f'[components.f]\nkind = "look-up-table"\n{table}\n[connections]\n'
-    )
     sources = {"u": "once.y", "u1": "once.y", "u2": "twice.y"}
-    for name in inputs:
-        text += f'"f.{name}" = "{sources[name]}"\n'
+    connections = [f'"f.{name}" = "{sources[name]}"' for name in inputs]
+    head = 'scenario = { name = "f", stop = 1.0, step = 0.25 }'
+    once, twice = (f'{{ kind = "ramp", slope = {slope} }}' for slope in (1.0, 2.0))
+    own = f'[components.f]\nkind = "look-up-table"\n{table}'
+    parts = f"[components]\nonce = {once}\ntwice = {twice}\n{own}"
+    text = "\n".join([head, parts, "[connections]", *connections])
     return cosim.run(parse(Document(text, "f", folder)), **more)
 
 
 BOTH = ("u1", "u2")
+SHORT = "u = [0.25, 0.5]\ny = [0.0, 1.0]\n"
+PRODUCT = "u1 = [0.0, 1.0]\nu2 = [0.0, 2.0]\ny = [[0.0, 0.0], [0.0, 2.0]]"
 
 
 @pytest.mark.parametrize(
     ("table", "inputs", "y"),
     [
         ("u = [0.0, 0.5, 1.0]\ny = [0.0, 1.0, 0.0]", ("u",), [0.0, 0.5, 1.0, 0.5, 0.0]),
-        (
-            'u = [0.25, 0.5]\ny = [0.0, 1.0]\nextrapolation = "hold"',
-            ("u",),
-            [0.0, 0.0, 1.0, 1.0, 1.0],
-        ),
-        (
-            'u = [0.25, 0.5]\ny = [0.0, 1.0]\nextrapolation = "linear"',
-            ("u",),
-            [-1.0, 0.0, 1.0, 2.0, 3.0],
-        ),
-        (
-            "u1 = [0.0, 1.0]\nu2 = [0.0, 2.0]\ny = [[0.0, 0.0], [0.0, 2.0]]",  # u1 u2
-            BOTH,
-            [0.0, 0.125, 0.5, 1.125, 2.0],
-        ),
+        (f'{SHORT}extrapolation = "hold"', ("u",), [0.0, 0.0, 1.0, 1.0, 1.0]),
+        (f'{SHORT}extrapolation = "linear"', ("u",), [-1.0, 0.0, 1.0, 2.0, 3.0]),
+        (PRODUCT, BOTH, [0.0, 0.125, 0.5, 1.125, 2.0]),
         ('file = "f.csv"\ncolumns = ["a", "c"]', ("u",), [1.0, 1.5, 2.0, 2.5, 3.0]),
         ('file = "g.csv"', BOTH, [0.0, 0.125, 0.5, 1.125, 2.0]),
     ],
@@ -90,4 +78,4 @@ def test_a_table_without_a_function_is_refused(tmp_path):
         (tmp_path / "g.csv").write_text("a,b,c\n0,0,1\n1,0,3\n1,1,3\n1,1,4\n")
         run(tmp_path, table)
 
-    check_refused([(table, text) for table, text in NO_FUNCTIONS], refuse, ScenarioError)
+    check_refused(NO_FUNCTIONS, refuse, ScenarioError)

@@ -9,27 +9,11 @@ import cosim
 from cosim.core.contracts import prepare
 from cosim.report.summary import summarize
 from cosim.scenario.record import recorded_identification
-from cosim.testing import check_component
-from tests.scenario.online import (
-    COARSE,
-    THETA,
-    H,
-    identifier,
-    identifiers,
-    inputs,
-    noisy,
-    run,
-)
+from tests.scenario.online import COARSE, THETA, H, identifier, inputs, run
 from tests.scenario.refusals import check_refused
 
 SHORT = {**COARSE, "scenario.stop": 12.0}
 EVERY_STEP = {**SHORT, "identifier.period": H}  # what saves its state is not decimated
-
-
-@pytest.fixture(scope="module")
-def sensed(tmp_path_factory):
-    """Return the path of the example with noise."""
-    return noisy(tmp_path_factory.mktemp("noisy"))
 
 
 @pytest.fixture(scope="module")
@@ -58,48 +42,14 @@ def drive(component, recorded, begin, end):
     return component.advance(t, H, recorded[begin : end + 1])
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"identifier.window": 1.0, "identifier.offset": True, "identifier.period": 0.2},
-        {
-            "identifier.forgetting": 10.0,
-            "identifier.bounds": [[-1.0, 0.0], [-0.3, -0.3]],
-            "identifier.period": H,
-        },
-    ],
-    ids=["window", "forgetting"],
-)
-def test_the_contract_is_kept(options, recorded):
-    """On data that give estimates; around the first one, so that searches are repeated."""
-    settings = {**SHORT, **options, "scenario.stop": 1.5}
-    count = round(settings["scenario.stop"] / H)
-    make = identifiers("academic", settings)
-    check_component(make, inputs=recorded[: count + 1], h=H)
-
-
 @pytest.mark.usefixtures("without_verdicts")
-def test_a_bound_of_a_file_may_be_infinite(sensed, tmp_path):
+def test_a_bound_of_a_file_may_be_infinite(tmp_path):
     """``inf`` is no bound, in a scenario as in ``cosim identify``; a replay has it too."""
     settings = {**SHORT, "identifier.bounds": [[-np.inf, np.inf], [-np.inf, np.inf]]}
-    log = cosim.run(sensed, set=settings, out=tmp_path / "log.mcap")
+    log = cosim.run("academic-noisy", set=settings, out=tmp_path / "log.mcap")
     assert np.isfinite(theta(log)[-1]).all()
-    np.testing.assert_array_equal(theta(log), theta(cosim.run(sensed, set=SHORT)))
+    np.testing.assert_array_equal(theta(log), theta(cosim.run("academic-noisy", set=SHORT)))
     assert cosim.diff(log, cosim.replay(log.path)).equal
-
-
-def test_a_saved_state_does_not_grow_with_the_samples(recorded):
-    """A state of 12 s has the size of one at the beginning, and that of a run ten times as long."""
-    sizes = set()
-    for settings in (EVERY_STEP, {**EVERY_STEP, "scenario.stop": 120.0}):
-        component = prepared(recorded, settings)
-        for end in (0, 1200):
-            drive(component, recorded, 0, end)
-            state, _ = component.save()
-            sizes.add(state.state.size)
-    assert len(sizes) == 1
-    assert sizes.pop() < 1200 * 6  # numbers that the samples of 12 s are
 
 
 def test_a_state_keeps_its_samples_when_others_come_in_their_places(recorded):
@@ -129,31 +79,9 @@ def test_a_state_keeps_its_samples_when_others_come_in_their_places(recorded):
         assert np.array_equal(drive(other, recorded, 1100, 1200), expected)
 
 
-@pytest.mark.usefixtures("without_verdicts")
-def test_an_estimate_rests_on_all_samples_before_it():
-    """The default period is the communication step, and estimates do not depend on the period."""
-    often = cosim.run("academic", set={**SHORT, "identifier.period": H})
-    seldom = cosim.run("academic", set=SHORT)
-    assert len(theta(often)) == 1201
-    np.testing.assert_allclose(theta(often)[-1], theta(seldom)[-1], rtol=1e-11)
-    np.testing.assert_allclose(theta(seldom)[-1], THETA, rtol=1e-11)
-
-
-@pytest.mark.parametrize("method", ["output-error", "extended-kalman", "rayleigh", "projection"])
-@pytest.mark.usefixtures("without_verdicts")
-def test_an_estimate_does_not_know_how_long_the_run_will_be(method):
-    """Bit for bit the same rows, of a run and of one twice as long."""
-    changes = {**COARSE, "identifier.method": method, "identifier.start": 4.0}
-    short = cosim.run("academic", set={**changes, "scenario.stop": 16.0})
-    long = cosim.run("academic", set={**changes, "scenario.stop": 32.0})
-    rows = theta(short)
-    assert np.isfinite(rows).any()
-    np.testing.assert_array_equal(theta(long)[: len(rows)], rows)
-
-
-def test_there_is_no_value_before_there_is_an_estimate(sensed):
+def test_there_is_no_value_before_there_is_an_estimate():
     """The same NaN in all outputs, and numbers in all of them afterwards."""
-    log = run(sensed)
+    log = run("academic-noisy")
     known = np.isfinite(theta(log)).all(axis=1)
     first = int(np.argmax(known))
     assert first > 0
@@ -167,9 +95,9 @@ def test_there_is_no_value_before_there_is_an_estimate(sensed):
 
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.usefixtures("without_verdicts")
-def test_the_first_estimate_comes_before_mu_counts_and_every_one_keeps_its_error(seed, sensed):
+def test_the_first_estimate_comes_before_mu_counts_and_every_one_keeps_its_error(seed):
     """From y alone, once no other minimum explains the samples as well."""
-    log = cosim.run(sensed, set={**COARSE, "sensor.seed": seed})
+    log = cosim.run("academic-noisy", set={**COARSE, "sensor.seed": seed})
     estimates = theta(log)
     first = int(np.argmax(np.isfinite(estimates).all(axis=1)))
     assert first * 0.1 < COARSE["identifier.start"]
@@ -178,15 +106,11 @@ def test_the_first_estimate_comes_before_mu_counts_and_every_one_keeps_its_error
     assert errors.max() < 5.0
 
 
-@pytest.mark.parametrize(
-    "options",
-    [{}, {"offset": True}, {"window": 8.0}, {"forgetting": 5.0}],
-    ids=["plain", "offset", "window", "forgetting"],
-)
+@pytest.mark.parametrize("options", [{}, {"offset": True}, {"window": 8.0}, {"forgetting": 5.0}])
 @pytest.mark.usefixtures("without_verdicts")
-def test_noise_leaves_an_error_of_the_standard_errors_size(options, sensed):
+def test_noise_leaves_an_error_of_the_standard_errors_size(options):
     """Whichever samples count, and with an offset among the unknowns or without."""
-    log = run(sensed, **options)
+    log = run("academic-noisy", **options)
     errors = (theta(log)[-1] - THETA) / standard_error(log)[-1]
     assert (np.abs(errors) < 4.0).all()
     # 800 samples of the shortest window: the deviation is known to 2.5 %
@@ -196,11 +120,11 @@ def test_noise_leaves_an_error_of_the_standard_errors_size(options, sensed):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("without_verdicts")
-def test_fewer_samples_mean_larger_standard_errors(sensed):
+def test_fewer_samples_mean_larger_standard_errors():
     """All of them tell more than those of 5 s forgetting, and these more than a constant lets."""
-    plain = standard_error(run(sensed))[-1]
+    plain = standard_error(run("academic-noisy"))[-1]
     for options in ({"window": 8.0}, {"forgetting": 5.0}, {"offset": True}):
-        assert (standard_error(run(sensed, **options))[-1] > plain).all()
+        assert (standard_error(run("academic-noisy", **options))[-1] > plain).all()
 
 
 @pytest.mark.usefixtures("without_verdicts")
@@ -213,9 +137,9 @@ def test_amplitudes_are_those_at_the_beginning_of_the_window():
 
 
 @pytest.mark.usefixtures("without_verdicts")
-def test_bounds_fix_theta_and_keep_it(sensed):
+def test_bounds_fix_theta_and_keep_it():
     """Equal bounds give the number itself, without error; the search keeps to bounds too."""
-    log = run(sensed, bounds=[[-0.2, 0.0], [-0.3, -0.3]])
+    log = run("academic-noisy", bounds=[[-0.2, 0.0], [-0.3, -0.3]])
     assert theta(log)[-1, 1] == -0.3
     assert standard_error(log)[-1, 1] == 0.0
     assert abs(theta(log)[-1, 0] + 0.1) < 4.0 * standard_error(log)[-1, 0]
@@ -225,7 +149,7 @@ def test_bounds_fix_theta_and_keep_it(sensed):
 
 @pytest.mark.parametrize("seed", [2, 5])
 @pytest.mark.usefixtures("without_verdicts")
-def test_an_absent_component_has_no_value(seed, sensed):
+def test_an_absent_component_has_no_value(seed):
     """Of two exponentials of which one has the amplitude 0 the other is estimated.
 
     Its error is no amplitude of the absent one, at any time.
@@ -234,7 +158,7 @@ def test_an_absent_component_has_no_value(seed, sensed):
         {"alpha": "1.35 + 0.25*sin(1.7*t)", "family": "exponential", "theta": -0.1},
         {"alpha": "1.10", "family": "exponential", "theta": -0.3, "amplitude": 0.0},
     ]
-    log = cosim.run(sensed, set={**COARSE, "delta.terms": terms, "sensor.seed": seed})
+    log = cosim.run("academic-noisy", set={**COARSE, "delta.terms": terms, "sensor.seed": seed})
     assert np.isnan(theta(log)[:, 1]).all()
     assert np.isnan(standard_error(log)[:, 1]).all()
     error = theta(log)[-1, 0] + 0.1

@@ -60,9 +60,7 @@ IMPOSSIBLE_POLES = [
 def test_impossible_poles_are_refused():
     """With the partner that is missing, or how a complex pole is written."""
 
-    def refuse(case):
-        name, poles = case
+    def refuse(name, poles):
         cosim.run(loop({**TEXTS, f"{name}.poles": poles}))
 
-    cases = [(case, message) for *case, message in IMPOSSIBLE_POLES]
-    check_refused(cases, refuse, CosimError)
+    check_refused(IMPOSSIBLE_POLES, refuse, CosimError)

@@ -114,8 +114,7 @@ def test_the_interpolation_between_samples_must_be_named(loop, tmp_path):
 
 def test_a_run_with_a_recording_is_certified(loop, tmp_path):
     """Between the samples are straight lines with half the step, too, and the same columns."""
-    swapped = loop.swap(plant=field_log(tmp_path), map=BOTH)
-    log = cosim.run(swapped, certify=True)
+    log = cosim.run(loop.swap(plant=field_log(tmp_path), map=BOTH), certify=True)
     certificate = cosim.certificate(log)
     assert certificate["plant.y"].largest == 0.0
     # a linear model with inputs on straight lines is exact, whatever the step
@@ -173,15 +172,13 @@ def test_disorder_and_gaps_are_said(loop, tmp_path):
     out = tmp_path / "run.mcap"
     log = cosim.run(loop.swap(plant=path, map={"plant.y": "/t.x"}), out=out)
     text = warnings_of(open_log(out))
-    assert (
-        "topic '/t': 1 of 398 messages out of order, sorted by time; 2 of 398 messages dropped: a "
-        "later one in the file has the same time; the largest gap is 0.05 s, from t = 2 s on, the "
-        "median distance 0.01 s"
-    ) in text
+    of_topic = r"topic '/t': 1 of 398 .*; 2 of 398 .*; the largest gap is 0\.05 s, from t = 2 s on"
+    assert re.search(of_topic, text)
     assert log["plant.y"][9] == 99.0
     assert log["plant.y"][100] == 100.0
 
 
+U = "connections.plant.u"
 WRONG_OPTIONS = [
     (PLANT, {"plant.time": "stampp"}, "'/drive/state.stampp', message 1: "),
     ({}, {}, "expected a map, map={'PORT': '/topic.field'}, or columns"),
@@ -194,41 +191,24 @@ WRONG_OPTIONS = [
     (PLANT, {"plant.maximum_gap": 1e-3}, "maximum_gap = 0.001 s"),
     (PLANT, {"plant.time_unit": "m"}, "such as ms, got 'm'"),
     (PLANT, {"plant.offset": -1e10}, "within 2**63 ns of the offset"),
-    (
-        BOTH,
-        {"connections.plant.u": {"from": "command.y", "gain": 2.0}},
-        "'plant.u' takes command.y with a gain, an offset or a unit, so its recorded values "
-        "are not those of command.y; swap 'command', too, and map 'command.y'",
-    ),
-    (
-        BOTH,
-        {"connections.plant.u": ["command.y", "model.y"]},
-        "takes 2 signals, command.y, model.y; expected one name for each in its map",
-    ),
-    (
-        {**PLANT, "plant.u": "/cmd.values[0]"},
-        {"connections.plant.u[0]": "command.y"},
-        "'plant.u' is connected by its elements; expected the ports of [connections]: plant",
-    ),
+    (BOTH, {U: {"from": "command.y", "gain": 2.0}}, "'plant.u' takes command.y with a gain"),
+    (BOTH, {U: ["command.y", "model.y"]}, "takes 2 signals, command.y, model.y; expected one name"),
 ]
 
 
 def test_wrong_options_are_refused(loop, tmp_path):
     """Before the run, with the way out."""
+    swapped = {"plant": str(field_log(tmp_path))}
 
-    def refuse(case):
-        names, changes = case
-        scenario = loop
-        if "connections.plant.u[0]" in changes:
-            document = tmp_path / "parts.toml"
-            document.write_text(LOOP.replace('"plant.u"', '"plant.u[0]"'), encoding="utf-8")
-            scenario = cosim.load(document)
-            changes = {}
-        swapped = {"plant": str(field_log(tmp_path))}
-        cosim.run(scenario, swap=swapped, map=names, set=changes)
+    def refuse(names, changes):
+        cosim.run(loop, swap=swapped, map=names, set=changes)
 
-    cases = [(case, re.escape(text)) for *case, text in WRONG_OPTIONS]
+    cases = [(*case, re.escape(text)) for *case, text in WRONG_OPTIONS]
     check_refused(cases, refuse, ScenarioError)
+    document = tmp_path / "parts.toml"
+    document.write_text(LOOP.replace('"plant.u"', '"plant.u[0]"'), encoding="utf-8")
+    with pytest.raises(ScenarioError, match=r"'plant\.u' is connected by its elements"):
+        cosim.run(document, swap=swapped, map=BOTH)
 
 
 VECTOR = """
@@ -252,7 +232,6 @@ TWO = VECTOR.replace('= "command.y"', '= ["command.y[0]", "ramp.y"]').replace(
 @pytest.mark.parametrize(
     ("text", "u"),
     [
-        (VECTOR, "[/cmd.values[0],/cmd.values[1]]"),
         (VECTOR, "/cmd.values"),
         (TWO, ["/cmd.values[0]", "/cmd.values[1]"]),
     ],

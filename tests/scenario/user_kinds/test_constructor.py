@@ -13,9 +13,7 @@ from tests.scenario.refusals import check_refused
 from tests.scenario.user_modules import one, own_module, write
 
 TAKEN = """
-import sys
-from collections.abc import Sequence
-from typing import Literal, Optional
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,9 +52,7 @@ TAKEN_AS = [
     ("str", '"a"', "'a'"),
     ('Literal["a", "b"]', '"b"', "'b'"),
     ("float | None", "1", "1.0"),
-    ("Optional[int]", "1", "1"),
     ("list[float]", "[1, 2.5]", "[1.0, 2.5]"),
-    ("Sequence[str]", '["a"]', "('a',)"),
     ("tuple[int, ...]", "[1, 2]", "(1, 2)"),
     ("list[list[float]] | None", "[[1], [2, 3]]", "[[1.0], [2.0, 3.0]]"),
     ('"list[float]"', "[1]", "[1.0]"),
@@ -100,12 +96,9 @@ OF_ANOTHER_TYPE = [
 
 def test_a_value_of_another_type_is_refused_at_its_line(tmp_path):
     """With what is expected there."""
-    mismatches = []
     for annotation, value, pattern in OF_ANOTHER_TYPE:
         text = taken(tmp_path, f"a: {annotation}", value)
-        if not re.fullmatch(rf"one\.toml:13: components\.own\.a: .*{pattern}.*", text):
-            mismatches.append(f"a: {annotation} = {value}: expected {pattern}, got {text}")
-    assert mismatches == []
+        assert re.fullmatch(rf"one\.toml:13: components\.own\.a: .*{pattern}.*", text)
 
 
 CONSTRUCTORS = [
@@ -113,10 +106,7 @@ CONSTRUCTORS = [
     (", a: float, /", r"the parameter 'a' of 'own:Own' is positional-only"),
     (", unit: str = ''", r"the parameter 'unit' of 'own:Own' has a reserved name"),
     (", a: dict[str, float]", r"'a' of 'own:Own' .*dict\[str, float\]; expected float, int,"),
-    (
-        ", a: np.ndarray[tuple[int], np.dtype[np.int64]]",
-        r"'a' of 'own:Own' .*numpy\.dtype\[numpy\.int64\]\]; expected float",
-    ),
+    (", a: np.ndarray[tuple[int], np.dtype[np.int64]]", r"'own:Own' .*int64\]\]; expected float"),
     (", a: tuple[float, float]", r"'a' of 'own:Own' .*tuple\[float, float\]; expected float"),
     (", a: 'Flaot'", r"'own:Own' .*NameError: name 'Flaot' is not defined"),
 ]

@@ -72,13 +72,6 @@ def test_nothing_is_imported_to_list_or_show_it(site, capsys):
     assert not [name for name in sys.modules if name.startswith("relay_parts")]
 
 
-def test_wrong_tables_name_parameters_and_installed_kinds(site):
-    with pytest.raises(ScenarioError, match=r"'widht'; did you mean 'width'. Available: width"):
-        cosim.run("thermostat.toml", set={"relay.widht": 1.0})
-    with pytest.raises(ScenarioError, match="unknown kind 'rellay'; did you mean 'relay'"):
-        cosim.load("thermostat.toml").set({"relay.kind": "rellay"})
-
-
 def test_a_log_replays_where_the_package_is_not_installed(site, monkeypatch):
     """From the recording; with allowed code the package is needed."""
     cosim.run("thermostat.toml", out="a.mcap")
@@ -108,11 +101,7 @@ def test_another_version_of_the_package_is_not_the_code_of_the_log(site):
     ("package", "entry", "reason"),
     [
         ("gains", "gain = relay_parts.thermostats:Relay", "'gain' is a kind of cosim"),
-        (
-            "nameless",
-            "nobody = relay_parts.thermostats",
-            "expected 'package.module:Class', got 'relay_parts.thermostats'",
-        ),
+        ("nameless", "nobody = relay_parts.thermostats", "expected 'package.module:Class', got"),
         ("other", "relay = relay_parts.thermostats:Relay", "'relay' is declared more than once"),
     ],
 )

@@ -3,12 +3,13 @@
 import hashlib
 import importlib
 import os
-import pickle
 import re
 import sys
 
 import pytest
 
+import cosim
+from cosim.core import Interface
 from cosim.errors import UsageError
 from cosim.scenario.kinds.user_code import load_class
 from tests.scenario.refusals import check_refused
@@ -93,24 +94,6 @@ def test_packages_are_found_with_and_without_an_init_file(tmp_path):
     }
 
 
-def test_the_objects_of_a_folder_cannot_be_pickled(tmp_path):
-    """Nor does an import inside of a function find the folder: its modules are no longer there."""
-    source = """
-        import beside
-        class Relay:
-            top = beside.NAME
-            def late(self):
-                import beside
-    """
-    write(tmp_path, relay=source, beside="NAME = 'folder'\n")
-    relay = load_class("relay:Relay", tmp_path).loaded
-    assert relay.top == "folder"
-    with pytest.raises(ModuleNotFoundError, match="No module named 'beside'"):
-        relay().late()
-    with pytest.raises(pickle.PicklingError):
-        pickle.dumps(relay())
-
-
 def test_a_module_of_the_same_name_stays_imported(tmp_path, monkeypatch):
     """It steps aside while the folder's is imported, and comes back."""
     write(tmp_path / "path", relay="class Relay:\n    name = 'path'\n")
@@ -157,14 +140,8 @@ def test_a_class_of_an_installed_package_names_its_distribution():
 
 def test_a_folder_that_has_the_package_itself_does_not_get_a_second_one(tmp_path):
     """A scenario at the root of a checkout: ``import cosim`` there is what runs."""
-    import cosim
-    from cosim.core.signals import Interface
-
-    write(
-        tmp_path,
-        relay="from cosim.core.signals import Interface\nclass Relay:\n    i = Interface\n",
-    )
     (tmp_path / "cosim").symlink_to(next(iter(cosim.__path__)))
+    write(tmp_path, relay="from cosim.core import Interface\nclass Relay:\n    i = Interface\n")
     assert load_class("relay:Relay", tmp_path).loaded.i is Interface
 
 
@@ -181,19 +158,13 @@ NOT_IMPORTABLE = [
     ("relay:", r"expected 'package\.module:Class', got 'relay:'"),
     ("a/relay:Relay", r"expected 'package\.module:Class', got 'a/relay:Relay'"),
     ("signal:Relay", r"'signal:Relay': .*'signal', a module of Python"),
-    (
-        "relai:Relay",
-        r"'relai' in {folder} .*did you mean 'relay'\? Available: breaks, exits, outside, relay, ",
-    ),
+    ("relai:Relay", r"'relai' in {folder} .*did you mean 'relay'\? Available: breaks, exits, "),
     ("relay:Rely", r"'relay' .*'Rely'; did you mean 'Relay'\? Available: Relay$"),
     ("relay:make", r"'relay:make': expected a class, got a function$"),
     ("breaks:Relay", r"'breaks' .*ZeroDivisionError: .*\({folder}/breaks.py, line 2"),
     ("wrong:Relay", r"'wrong' .*SyntaxError: expected ':' \({folder}/wrong.py, line 1"),
     ("exits:Relay", r"'exits' .*SystemExit: 3 \({folder}/exits.py, line 3"),
-    (
-        "outside:Relay",
-        r"'outside' .*ModuleNotFoundError: .*'no_such_thing' \({folder}/outside.py, line 1",
-    ),
+    ("outside:Relay", r"'outside' .*ModuleNotFoundError: .*_thing' \({folder}/outside.py, line 1"),
 ]
 
 

@@ -14,8 +14,6 @@ from cosim.log import open_log
 from cosim.report.inspection import describe_log, describe_scenario
 from cosim.report.summary import summarize
 from cosim.report.verification import verify
-from cosim.scenario.building.build import parse
-from cosim.scenario.document.document import Document
 from cosim.scenario.kinds import user_code
 from tests.scenario.refusals import check_refused
 from tests.scenario.user_modules import RELAY, THERMOSTAT, one, own_module, write
@@ -70,11 +68,8 @@ def test_what_shows_a_scenario_or_a_log_imports_nothing(folder, monkeypatch):
     content = describe_scenario("thermostat.toml")
     rows = {row["signal"]: row for row in content["signals"]}
     assert rows["relay"]["role"] == "ports not known"
-    assert rows["room.y"]["size"] == 1
     assert content["scenario"]["schedule"] == "not known, as the ports of some components are not"
-    assert content["connections"][0]["map"] == "15.0 v + 10.0"
     assert content["metadata"]["relay"]["class"] == "relay:Relay"
-    assert "'cosim run SCENARIO --dry-run' imports it" in content["metadata"]["relay"]["ports"]
     content = describe_log("a.mcap")
     assert content["metadata"]["relay"]["code"]["class"] == "relay:Relay"
     assert {row["signal"] for row in content["signals"]} >= {"relay.u", "relay.y"}
@@ -85,24 +80,15 @@ def test_what_shows_a_scenario_or_a_log_imports_nothing(folder, monkeypatch):
 
 @pytest.mark.slow
 def test_prints_of_a_class_are_not_data_and_a_dry_run_says_what_it_imports(folder, call):
-    """Printed at its import and in its steps; stdout is for data."""
-    (folder / "relay.py").write_text(
-        "print('imported')\n"
-        + RELAY.replace("self.on = False", "print('initialized')\n        self.on = False")
-    )
-    for arguments in (
-        ["run", "thermostat.toml", "--out", "a.mcap"],
-        ["run", "thermostat.toml", "--dry-run"],
-        ["replay", "a.mcap", "--allow-code"],
-        ["check", "thermostat.toml"],
-    ):
-        code, out, err = call(*arguments, "--json")
-        assert code == 0, err
-        json.loads(out)
+    """Stdout is for data, whatever a module prints."""
+    (folder / "relay.py").write_text(f"print('imported')\n{RELAY}")
+    code, out, err = call("run", "thermostat.toml", "--out", "a.mcap", "--json")
+    json.loads(out)
+    assert (code, "imported" in err) == (0, True)
+    json.loads(call("replay", "a.mcap", "--allow-code", "--json")[1])
+    json.loads(call("check", "thermostat.toml", "--json")[1])
     _, out, _ = call("run", "thermostat.toml", "--dry-run")
     assert "relay: relay:Relay was imported" in out.splitlines()
-    _, _, err = call("run", "thermostat.toml", "--out", "b.mcap")
-    assert "initialized" in err.splitlines()
 
 
 # --- replays ---
@@ -142,10 +128,11 @@ def test_a_replay_with_allowed_code_computes_it(folder):
 def test_allowed_code_may_be_changed_in_a_replay(folder):
     """What a run with the change computes; without the code it is refused, with the way out."""
     cosim.run("thermostat.toml", out="a.mcap")
+    change = {"relay.width": 0.25}
     with pytest.raises(UsageError, match=r"set\['relay\.width'\]: 'relay' .*allow_code=True"):
-        cosim.replay("a.mcap", set={"relay.width": 0.25})
-    again = cosim.replay("a.mcap", set={"relay.width": 0.25}, allow_code=True)
-    assert cosim.diff(again, cosim.run("thermostat.toml", set={"relay.width": 0.25})).equal
+        cosim.replay("a.mcap", set=change)
+    again = cosim.replay("a.mcap", set=change, allow_code=True)
+    assert cosim.diff(again, cosim.run("thermostat.toml", set=change)).equal
 
 
 def test_who_names_the_class_gets_it_as_it_is_now(folder):
@@ -248,20 +235,14 @@ def test_a_replay_in_another_folder_says_where_it_looked(folder, monkeypatch):
 def test_the_command_replays_with_and_without_the_code(folder, call):
     """It says what was not computed; other code than that of the log is exit code 2."""
     call("run", "thermostat.toml", "--out", "a.mcap", "--quiet")
-    _, out, _ = call("replay", "a.mcap")
-    (line,) = [line for line in out.splitlines() if line.startswith("relay\t")]
-    assert "replayed from the log; --allow-code runs relay:Relay" in line
     code, out, _ = call("replay", "a.mcap", "--verify")
     assert code == 0
     assert re.search("not verified.*: relay\\.y; --allow-code", out)
     code, out, _ = call("replay", "a.mcap", "--verify", "--allow-code")
-    assert code == 0
-    assert "from the log" not in out
-    assert "not verified" not in out
+    assert (code, "not verified" in out) == (0, False)
     (folder / "relay.py").write_text(RELAY + "\n")
     code, _, err = call("replay", "a.mcap", "--verify", "--allow-code")
-    assert code == 2
-    assert "--set relay.class=relay:Relay" in err
+    assert (code, "--set relay.class=relay:Relay" in err) == (2, True)
 
 
 # --- what classes do wrong ---
@@ -273,19 +254,13 @@ LACKING = """
         def initialize(self, t, u):
             return u
 """
+PLACE = r"one\.toml:1[02]: components\.own"
 WRONG_MODULES = [
-    ("class Own:\n    pass\n", r"one\.toml:10: components\.own: .*Interface, got None .*Own$"),
+    ("class Own:\n    pass\n", rf"{PLACE}: .*Interface, got None .*Own$"),
     (LACKING, r"type Own; missing: outputs, advance"),
-    (
-        "def ratio():\n    return 1 / 0\nratio()\n",
-        r"one\.toml:12: components\.own\.class: 'own' cannot be imported: ZeroDivisionError: "
-        r"division by zero \(.*/own\.py, line 2\)$",
-    ),
+    ("x = 1\n1 / 0\n", rf"{PLACE}\.class: .*ZeroDivisionError: .*/own\.py, line 2\)$"),
     # the string itself is in no file: the line is the one that compiles it
-    (
-        "x = 1\neval('int32(float64*)')\n",
-        r"SyntaxError: invalid syntax \(<string>, line 1\) \(.*/own\.py, line 2\)$",
-    ),
+    ("x = 1\neval('int32(float64*)')\n", r"SyntaxError: .*line 1\) \(.*/own\.py, line 2\)$"),
 ]
 
 
@@ -299,59 +274,25 @@ def test_a_module_without_a_component_is_named_before_the_run(tmp_path):
     check_refused(WRONG_MODULES, run, ScenarioError)
 
 
-def test_a_name_of_a_class_is_checked_with_the_file():
-    text = THERMOSTAT.replace("relay:Relay", "relay.Relay")
-    place = r"thermostat\.toml:11: components\.relay\.class: .*got 'relay\.Relay'"
-    with pytest.raises(ScenarioError, match=place):
-        parse(Document(text, "thermostat.toml", None))
+RAISING = [
+    ("constructor", 'raise ValueError("-1")', r"one\.toml:10: .* raised ValueError: -1"),
+    ("initialize", "[].pop()", r"'own' stopped at t = 0\.0 s: initialize raised IndexError: pop"),
+    ("advance", "t[-1] <= 0.5 or 1 / 0", r"'own' stopped at t = 0\.5 s: advance raised Zero"),
+]
 
 
-def cause(error, kind):
-    """Return the first error of a type among the causes of an error, and the functions it left."""
-    while error is not None and type(error) is not kind:
-        error = error.__cause__
-    names = []
-    trace = error.__traceback__
-    while trace is not None:
-        names.append(trace.tb_frame.f_code.co_name)
-        trace = trace.tb_next
-    return error, names
-
-
-@pytest.mark.parametrize(
-    ("method", "body", "kind", "text"),
-    [
-        (
-            "constructor",
-            'raise ValueError("width: found -1")',
-            ValueError,
-            "one.toml:10: components.own: the constructor of 'own:Own' raised ValueError: width: "
-            "found -1 ({folder}/own.py, line 11)",
-        ),
-        (
-            "initialize",
-            "[].pop()",
-            IndexError,
-            "'own' stopped at t = 0.0 s: initialize raised IndexError: pop from empty list "
-            "({folder}/own.py, line 14)",
-        ),
-        (
-            "advance",
-            "t[-1] <= 0.5 or 1 / 0",
-            ZeroDivisionError,
-            "'own' stopped at t = 0.5 s: advance raised ZeroDivisionError: division by zero "
-            "({folder}/own.py, line 22)",
-        ),
-    ],
-)
-def test_an_exception_names_component_time_and_line(tmp_path, method, body, kind, text):
-    """The user's own exception is the cause, with the lines that led to it."""
+@pytest.mark.parametrize(("method", "body", "text"), RAISING)
+def test_an_exception_names_component_time_and_line(tmp_path, method, body, text):
+    """The user's own exception is the cause, at the line that it left."""
     own_module(tmp_path, **{method: body})
-    with pytest.raises((RunError, ScenarioError)) as error:
+    line = (tmp_path / "own.py").read_text().splitlines().index(f"        {body}") + 1
+    pattern = rf"{text}.*own\.py, line {line}\)"
+    with pytest.raises((RunError, ScenarioError), match=pattern) as error:
         cosim.run(one(tmp_path), block=1)
-    assert str(error.value) == text.format(folder=tmp_path)
-    _, functions = cause(error.value, kind)
-    assert {"constructor": "__init__"}.get(method, method) in functions
+    cause = error.value
+    while cause.__cause__ is not None:
+        cause = cause.__cause__
+    assert type(cause) in (ValueError, IndexError, ZeroDivisionError)
 
 
 WRONG_STEPS = [
@@ -363,7 +304,6 @@ WRONG_STEPS = [
     # neither u nor t can be changed: they are rows of the run, which others read
     ("initialize", "u[0] = 1.0", r"raised ValueError: .*read-only.* \(.*/own\.py, line 14\); "),
     ("outputs", "u += 1.0", r"raised ValueError: .*read-only.* \(.*/own\.py, line 18\); "),
-    ("advance", "u[0] = 1.0", r"raised ValueError: .*read-only.* \(.*/own\.py, line 22\); "),
     ("advance", "t[0] = 1.0", r"raised ValueError: .*read-only.* \(.*/own\.py, line 22\); "),
     ("advance", "u.sort(axis=0)", r"raised ValueError: .*read-only.* \(.*/own\.py, line 22\); "),
 ]
@@ -372,13 +312,12 @@ WRONG_STEPS = [
 def test_a_result_of_another_shape_and_a_changed_input_are_named(tmp_path):
     """Beside what is expected, and the line."""
 
-    def run(case):
-        method, body = case
+    def run(method, body):
         own_module(tmp_path, **{method: body})
         cosim.run(one(tmp_path), block=1)
 
     begin = r"^'own' stopped at t = 0\.0 s: "
-    cases = [((method, body), f"{begin}{method} .*{text}") for method, body, text in WRONG_STEPS]
+    cases = [(method, body, f"{begin}{method} .*{text}") for method, body, text in WRONG_STEPS]
     check_refused(cases, run, RunError)
 
 
