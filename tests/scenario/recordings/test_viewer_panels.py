@@ -60,18 +60,3 @@ def test_estimates_are_shown_beside_their_truth(tmp_path, truth, estimates):
     assert panels(run) == {"measured outputs": ["plant.y"]} | estimates
     levels = curves(json.loads(run.attachment(LAYOUT_FILE)))[1]
     assert levels == ([-0.3] if "-0.3" in truth else [])
-
-
-def test_a_run_without_estimates_shows_its_outputs(tmp_path):
-    """By their units, and those without by component."""
-    (tmp_path / "decay.toml").write_text("""
-        scenario = { name = "decay", stop = 0.1, step = 0.01 }
-        [components]
-        u = { kind = "sine", amplitude = 1.0, rate = 1.0, unit = "N" }
-        lag = { kind = "lag", time_constant = 0.1, unit = { u = "N", y = "N" } }
-        count = { kind = "constant", value = 3.0 }
-        [connections]
-        "lag.u" = "u.y"
-    """)
-    run = cosim.run(tmp_path / "decay.toml")
-    assert panels(run) == {"[N]": ["u.y [N]", "lag.y [N]"], "count": ["count.y"]}

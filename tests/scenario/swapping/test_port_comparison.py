@@ -12,7 +12,6 @@ from cosim.scenario.recordings.port_comparison import (
     START,
     ComparedComponent,
     compare_components,
-    different_texts,
     propose,
     rate_between,
 )
@@ -153,23 +152,6 @@ def test_responses_and_poles_are_compared_within_their_error():
     integrator = component(first_order(0.0, gain=1.0))
     assert integrator.responses(0.0, integrator) is None
     assert rate_between(integrator.system) == 1.0
-
-
-def test_numbers_that_differ_have_texts_that_do():
-    """With as many digits as that takes."""
-    assert different_texts(0.1, 0.2) == ("0.1", "0.2")
-    assert different_texts(1 / 3, 1 / 3 + 1e-8) == ("0.333333333", "0.333333343")
-    assert different_texts({"u -> y": [1.0, 2.0]}, None) == ("u -> y 2.23607 at 63.4349 deg", "-")
-
-
-def test_a_row_shows_what_its_port_stands_for():
-    """Ports are paired by name; after it stands what the map makes it of."""
-    before = ComparedComponent(BEFORE, ABLE)
-    after = ComparedComponent(AFTER, ABLE)
-    rows = compare_components(before, after, names={"u": "k", "x_a": "s1, s2"}, connected={"u"})
-    labels = list(dict.fromkeys(row.label for row in rows))
-    assert labels == ["u -> k", "delta", "y", "x_a -> s1, s2", "x_b", "s", "n", "k", ""]
-    assert {row.port for row in rows if row.connected} == {"u", ""}
 
 
 def test_the_best_match_is_proposed_with_its_reasons():
