@@ -89,27 +89,6 @@ def test_a_map_names_elements_of_an_input(path, other, tmp_path):
     assert cosim.diff(run, cosim.replay(tmp_path / "swapped.mcap")).equal
 
 
-def test_a_map_names_an_output_by_the_element_that_it_drives(path, other):
-    """plant.u[0] is a.y, which the FMU's out is."""
-    run = cosim.run(
-        path,
-        swap={"a": other},
-        map={"plant.u[0]": "out"},
-        set={"connections.a.force": "b.y", "connections.a.torque": "b.y"},
-    )
-    assert run["plant.u[0]"].tolist() == run["a.y"].tolist()
-
-
-def test_a_replay_takes_the_designs_and_other_connections(path, tmp_path):
-    """Bit for bit; with another source of one element as in a new run."""
-    log = cosim.run(path, out=tmp_path / "one.mcap")
-    assert cosim.diff(log, cosim.replay(tmp_path / "one.mcap")).equal
-    change = {"connections.plant.u[1]": {"from": "a.y", "gain": 3.0}}
-    new = cosim.run(path, set=change)
-    again = cosim.replay(tmp_path / "one.mcap", set=change)
-    assert again["plant.y"].tobytes() == new["plant.y"].tobytes()
-
-
 def test_wrong_elements_are_named(path):
     """With the line or the option that they come from."""
     cases = [
@@ -156,13 +135,3 @@ def test_an_element_that_cannot_be_read_is_the_one_problem(path, wrong):
         cosim.load(path)
     first, second = str(error.value).splitlines()
     assert "plant.toml:17: connections.plant.u[1]: 'b.yy': 'b' has no output" in second + first
-
-
-def test_a_swap_with_a_source_that_has_no_such_element_names_its_line(path, other):
-    """The comparison of the swap leaves the connection to its own check."""
-    names = {"plant.u": ["force", "torque"], "plant.y": "out"}
-    path.write_text(path.read_text().replace('"meter.u" = "plant.y"', '"meter.u" = "plant.y[3]"'))
-    with pytest.raises(
-        ScenarioError, match=r"plant\.toml:19: connections\.meter\.u: 'plant\.y\[3\]'"
-    ):
-        cosim.run(path, swap={"plant": other}, map=names)

@@ -108,18 +108,6 @@ def test_fields_of_a_log_are_identifiers_and_distinct(names):
     assert all(re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", field) for field in fields)
 
 
-def test_a_component_with_any_name_is_exported(folder):
-    """Its identifier is one of C; one that is too long for a file name is refused before."""
-    assert shell("export", "größe.toml", "--component", "größe-1", "--out", "a.fmu") == 0
-    fmu = cosim.run("größe.toml", swap={"größe-1": "a.fmu"})
-    # 1e-9 is the tolerance of the solver that integrates the FMU
-    assert fmu["größe-1.y"] == pytest.approx(cosim.run("größe.toml")["größe-1.y"], abs=1e-9)
-    long = SCENARIO.replace("größe-1", "温" * 33)
-    (folder / "long.toml").write_text(long, encoding="utf-8")
-    assert shell("export", "long.toml", "--component", "温" * 33, "--out", "b.fmu") == 2
-    assert not (folder / "b.fmu").exists()
-
-
 def shuffled(text, seed):
     """Return the text of a scenario with the keys of its tables in another order."""
     chance = random.Random(seed)
