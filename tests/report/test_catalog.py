@@ -46,20 +46,6 @@ def test_everything_that_can_stand_in_a_scenario_is_listed(listed):
     assert {"substeps.rtol", "substeps.atol", "substeps.min"} <= found["settings"].keys()
 
 
-def test_a_kind_has_its_ports_and_parameters_in_the_list(listed):
-    """Those that may be omitted in brackets; JSON has their defaults."""
-    lines = listed()
-    assert any(line.startswith("sum\tu1, u2, ... -> y\t") for line in lines)
-    (observer,) = [line for line in lines if line.startswith("unknown-input-observer\t")]
-    assert "model, [L], [poles]" in observer
-    assert any("cosim list KIND" in line for line in lines)
-    kinds = listed("--json")["kinds"]
-    rate = kinds["unknown-input-observer"]["parameters"]["filter_rate"]
-    assert (rate["required"], rate["default"]) == (False, None)
-    assert rate["description"].startswith("rate of the derivative filter [rad/s]")
-    assert kinds["descriptor"]["parameters"]["solver"]["default"] == "exact"
-
-
 @pytest.mark.parametrize("name", ["start_time", "coupling", "input_interpolation"])
 def test_readme_names_the_keys_that_change_results(name):
     """Beside those that its scenarios have; on its first page or one of the others."""

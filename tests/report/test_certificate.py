@@ -70,16 +70,6 @@ def test_a_row_has_an_estimate_or_an_upper_bound(capsys, error, row):
     assert row or any(name in values[0] for values in cells.values())
 
 
-def test_ends_that_differ_are_named_and_json_has_the_certificate(tmp_path, call):
-    certify = ("run", write(tmp_path, certified.SPRING), "--certify", "--out", "a.mcap", "--force")
-    _, output, _ = call(*certify, "--set", "scenario.until=mass.y < 0")
-    assert re.search(r"note\t.*0\.79 s, 0\.79 s, 0\.7875 s.* up to 0\.7875 s\n", output)
-    found = json.loads(call(*certify, "--json")[1])["certificate"]
-    assert found["finer_steps"] == [0.005, 0.0025]
-    (mass,) = [row for row in found["signals"] if row["signal"] == "mass.y"]
-    assert mass["order"] == pytest.approx(1.0, abs=0.1)
-
-
 @pytest.mark.parametrize(
     ("error", "coupling", "text"),
     [

@@ -49,24 +49,6 @@ def test_a_connection_shows_all_its_sources_and_one_conversion(tmp_path):
     assert expected.items() <= row.items()
 
 
-def test_signals_are_shown_with_what_they_are():
-    """What the component itself says of a port; nothing where it says nothing."""
-    rows = {row["signal"]: row["description"] for row in describe_scenario("academic")["signals"]}
-    assert rows["observer.delta"] == "reconstructed disturbance"
-    assert rows["identifier.theta"] == "estimated parameters of the disturbance"
-    assert rows["u.y"] is None
-
-
-@pytest.mark.parametrize("interface_type", ["me", "cs"])
-def test_an_fmu_that_saves_its_state_is_shown(tmp_path, interface_type):
-    """The description is enough, whatever the FMU could do if it ran."""
-    export_component("closed-loop", "plant", tmp_path / "plant.fmu")
-    fmu = f'{{ kind = "fmu", path = "plant.fmu", interface_type = "{interface_type}" }}'
-    found = described(tmp_path, f"{SCENARIO.partition('[')[0]}components.plant = {fmu}\n")
-    signals = [row["signal"] for row in found["signals"]]
-    assert signals == ["plant.u", "plant.delta", "plant.y", "plant.x_a", "plant.x_b"]
-
-
 def test_messages_are_shown_in_the_order_of_time_up_to_a_number(tmp_path, monkeypatch):
     """How many are left out is said."""
     path = tmp_path / "x.mcap"

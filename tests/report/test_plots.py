@@ -28,6 +28,7 @@ from cosim.report.plots.runs import (
 )
 from cosim.units import Unit
 from tests.log.recordings import STEP_NS, layout, record, table
+from tests.scenario.refusals import check_refused
 
 pytest.importorskip("matplotlib")
 
@@ -103,23 +104,6 @@ def test_units_of_one_kind_share_an_axis_and_others_do_not(logs, out):
         plot_signals(logs[0], ["a.y,c.y[0]"], out)
 
 
-def test_several_logs_share_a_panel(logs, out):
-    """The axis says which signal it is, each curve from which log, by its folder if need be."""
-    plot_signals(logs, ["a.y", "c.y"], out)
-    expected = {"a.y [m]", "a.y (first)", "a.y (second)", "c.y [V]", "c.y[1] (second)"}
-    assert expected <= set(texts(out))
-    plot_signals([logs[0], logs[0]], ["a.y"], out)
-    assert texts(out).count(f"a.y ({logs[0].path})") == 2
-
-
-def test_many_panels_stand_side_by_side(logs, out):
-    """At most four in a column: a picture fits a screen; the lowest of each column has the time."""
-    plot_signals(logs[0], ["a.y"] * 5, out)
-    assert size_of(out) == (32.0, 3.0 + 3 * 6.0)
-    counts = [texts(out).count(text) for text in ("t [s]", "a.y [m]", "0.2")]
-    assert counts == [2, 5, 2 + 5]  # the number on both axes of time, and on all of values
-
-
 def test_a_window_a_size_and_a_title_are_as_asked_for(logs, out):
     """The curve is cut one row outside the window; sizes are in cm."""
     options = PictureOptions(size=(12.7, 7.62), start=0.253, stop=0.497, title="A & B")
@@ -131,27 +115,30 @@ def test_a_window_a_size_and_a_title_are_as_asked_for(logs, out):
         assert (curve.times[0], curve.times[-1]) == (0.25, 0.5)
 
 
-@pytest.mark.parametrize(
-    ("signals", "name", "options", "text"),
-    [
-        (["a.y"], "a.svg", {"size": (0.0, 5.0)}, "0 x 5 cm"),
-        (["a.y"], "a.svg", {"size": (5.0, float("nan"))}, "5 x nan cm"),
-        (["a.y"], "a.svg", {"start": 2.0, "stop": 1.0}, "stop: .* start = 2 s, got 1 s"),
-        (["a.y"], "a.svg", {"stop": float("inf")}, "stop: .* inf s"),
-        (["a.y"], "a.svg", {"start": 2.0}, r"start, stop: .*0 s to 1 s"),
-        (["a.y"], "a.svg", {"stop": -1.0}, r"start, stop: .*0 s to 1 s"),
-        (["a.y"], "first.mcap/a.png", {}, "cannot be written"),
-        (["a.y"], "a.doc", {}, r"'\.doc'"),
-        ([], "a.svg", {}, "signals"),
-        ([3], "a.svg", {}, "3"),
-        (["a"], "a.svg", {}, "'a'"),
-        ("a.y", "a.svg", {}, "got 'a'"),
-    ],
-)
-def test_a_picture_of_nothing_or_to_nowhere_is_refused(logs, signals, name, options, text):
+NOTHING = [
+    ((["a.y"], "a.svg", {"size": (0.0, 5.0)}), "0 x 5 cm"),
+    ((["a.y"], "a.svg", {"size": (5.0, float("nan"))}), "5 x nan cm"),
+    ((["a.y"], "a.svg", {"start": 2.0, "stop": 1.0}), "stop: .* start = 2 s, got 1 s"),
+    ((["a.y"], "a.svg", {"stop": float("inf")}), "stop: .* inf s"),
+    ((["a.y"], "a.svg", {"start": 2.0}), r"start, stop: .*0 s to 1 s"),
+    ((["a.y"], "a.svg", {"stop": -1.0}), r"start, stop: .*0 s to 1 s"),
+    ((["a.y"], "first.mcap/a.png", {}), "cannot be written"),
+    ((["a.y"], "a.doc", {}), r"'\.doc'"),
+    (([], "a.svg", {}), "signals"),
+    (([3], "a.svg", {}), "3"),
+    ((["a"], "a.svg", {}), "'a'"),
+    (("a.y", "a.svg", {}), "got 'a'"),
+]
+
+
+def test_a_picture_of_nothing_or_to_nowhere_is_refused(logs):
     """Signals, files, sizes and windows: an empty picture says nothing."""
-    with pytest.raises(UsageError, match=text):
+
+    def draw(case):
+        signals, name, options = case
         plot_signals(logs[0], signals, logs[0].path.parent / name, PictureOptions(**options))
+
+    check_refused(NOTHING, draw)
 
 
 @pytest.mark.parametrize("values", [[np.nan, np.inf, -np.inf], [5e-324, -5e-324], [1e308, -1e308]])
