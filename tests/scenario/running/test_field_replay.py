@@ -70,14 +70,6 @@ def test_missing_fields_of_a_foreign_recording_are_reported(loop, tmp_path):
             cosim.replay(path, scenario=loop, map=PLANT, **options)
 
 
-def test_a_log_of_a_run_carries_its_own_scenario(loop, tmp_path):
-    """So there is none to name."""
-    out = tmp_path / "run.mcap"
-    cosim.run(loop, out=out)
-    with pytest.raises(UsageError, match="has its own scenario; omit scenario"):
-        cosim.replay(out, scenario=loop)
-
-
 def test_a_recording_that_is_replayed_is_not_written_over(loop, tmp_path):
     """Not even with force."""
     path = field_log(tmp_path)
