@@ -67,18 +67,3 @@ def test_a_kind_is_explained_with_default_meaning_and_unit(listed):
     text = "\n".join(listed("expression"))
     assert "ports: [u1], [u2], ... -> y" in text
     assert all(f" {name}" in text for name in FUNCTIONS)
-
-
-def test_what_may_be_set_in_a_run_is_marked(listed):
-    """In a column of its own where a kind has such a key, which all are keys of their kinds."""
-    rows = [line.split("\t") for line in listed("pid")]
-    assert ["parameter", "default", "in a run", "meaning"] in rows
-    marks = {row[0]: row[2] for row in rows[3:]}
-    assert marks["gain"] == marks["upper"] == "tunable"
-    assert marks["period"] == marks["initial_integral"] == ""
-    assert "parameter\tdefault\tmeaning" in listed("delay")
-    assert "\ntunable: parameters that the FMU declares tunable" in "\n".join(listed("fmu"))
-    lag = listed("lag", "--json")
-    assert (lag["ports"], lag["tunable"]) == ("u -> y", ["time_constant"])
-    for kind in KINDS.values():
-        assert set(kind.tunable) <= set(kind.model_fields)

@@ -12,8 +12,6 @@ from cosim.report import comparing
 from cosim.report.comparing import compare, results_of
 from cosim.report.plots.runs import plot_comparison
 from cosim.report.summary import summarize
-from cosim.report.tables.comparison import show_estimators
-from cosim.report.tables.console import print_shown
 from cosim.scenario.exporting import export_component
 from cosim.scenario.kinds.variants import METHODS
 from cosim.scenario.running.replay import Replays
@@ -60,7 +58,7 @@ def errors(comparison):
 
 
 @pytest.mark.slow
-def test_four_plants_are_one_scenario(folder, tmp_path):
+def test_four_plants_are_one_scenario(folder):
     """Generated, as FMI 2 model exchange and co-simulation, recorded: the last two have its bits.
 
     Model exchange differs by rk4's error. That is (3 h)^4 / 120 = 7e-13 h a step, relative; over
@@ -70,24 +68,12 @@ def test_four_plants_are_one_scenario(folder, tmp_path):
     four = compare("academic", swap={"plant": [fmu, f"{fmu}#cs", folder / "log.mcap"]}, set=SHORT)
     labels = ["descriptor", "plant", "plant#cs", "log"]
     assert [outcome.label for outcome in four.outcomes] == labels
-    assert four.estimates == {
-        "observer.x_a": "plant.x_a",
-        "observer.delta": "delta.y",
-        "identifier.theta": [-0.1, -0.3],
-    }
     apart = {(row.estimate, row.label): max(row.largest) for row in four.differences}
     assert set(apart) == set(product(four.estimates, labels[1:]))
     for estimate in four.estimates:
         assert apart[estimate, "plant#cs"] == apart[estimate, "log"] == 0.0
     assert 0.0 < apart["observer.x_a", "plant"] <= 1e-11
     assert 0.0 < apart["observer.delta", "plant"] <= 1e-8
-    # every access would read the whole logs again
-    assert four.summaries is four.summaries
-    assert four.differences is four.differences
-    plot_comparison(four, tmp_path / "c.svg")
-    drawn = (tmp_path / "c.svg").read_text(encoding="utf-8")
-    assert all(f">{label}<" in drawn for label in labels)
-    assert all(estimate in drawn for estimate in four.estimates)
 
 
 @pytest.mark.slow
@@ -103,19 +89,6 @@ def test_a_failed_plant_does_not_lose_the_others(folder, tmp_path, call):
     logs = sorted(path.name for path in (tmp_path / "logs").iterdir())
     assert logs == ["descriptor.mcap", "plant-cs.mcap"]
     assert plants["plant#cs"]["summary"]["values"][0]["estimate"] == THETA[0]
-
-
-@pytest.mark.slow
-def test_a_key_that_one_plant_has_is_set_there(folder, monkeypatch):
-    """It is the outcome of the others; one that none has is refused before the first run."""
-    mixed = {"plant": [folder / "plant.fmu", folder / "log.mcap"]}
-    changes = {"plant.solver": "RK23", "scenario.stop": 0.1}
-    found = compare("academic", swap=mixed, set=changes, base=False)
-    assert [bool(error) for error in errors(found)] == [False, True]
-    monkeypatch.setattr(NO_RUN, None)
-    plants = {"plant": [folder / "plant.fmu", f"{folder / 'plant.fmu'}#cs"]}
-    with pytest.raises(UsageError, match=r"^set\['plant\.nope'\]: [^\n]*'nope'[^\n]*$"):
-        compare("academic", swap=plants, set={"plant.nope": 1.0})
 
 
 @pytest.mark.slow
@@ -206,18 +179,9 @@ def test_every_method_estimates_from_the_same_data(compared, tmp_path):
 
 
 @pytest.mark.slow
-def test_every_estimate_is_judged_by_the_data(compared, capsys):
-    """A biased one is said to be so, whatever the method says of itself; not all say something.
-
-    The table shows half of the intervals that the verdicts have, 1.96 standard errors, and none
-    beside INCONSISTENT.
-    """
-    print_shown(show_estimators(compared), as_json=False)
-    lines = capsys.readouterr().out.splitlines()
-    shown = {line.split("\t")[0]: line.split("\t") for line in lines[2:]}
-    assert any("half width of the 95 % interval" in line for line in lines)
+def test_every_estimate_is_judged_by_the_data(compared):
+    """A biased one is said to be so, whatever the method says of itself; not all say something."""
     for result in compared.results:
-        assert shown[result.method][1].count("±") == np.isfinite(result.half_width).sum()
         of_theta = zip(result.verdicts, result.error, result.half_width, strict=True)
         for record, error, half_width in of_theta:
             assert (record.value is None) == bool(np.isnan(error))
@@ -232,7 +196,6 @@ def test_every_estimate_is_judged_by_the_data(compared, capsys):
     best = found["output-error"]
     # the ends of an interval of 1e-14 around 0.3 are rounded to 5e-17
     np.testing.assert_allclose(best.half_width, 1.96 * best.standard_error, rtol=1e-2)
-    assert f"± {best.half_width[0]:.2g}" in shown["output-error"][1]
 
 
 def test_unknown_methods_and_missing_identifiers_are_refused():
@@ -282,45 +245,29 @@ def failing(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_each_row_is_a_replay_of_its_own(log, monkeypatch):
+def test_each_row_is_a_replay_of_its_own(log):
     """With the values of its row and those that all have; in the order of the product.
 
-    Its results are estimates, errors, verdicts and noise, by the names of the table. The log is
-    read once for all of them.
+    Its results are estimates, errors, verdicts and noise, by the names of the table.
     """
-    rows = []
-
-    def recorded(replays, *arguments, **options):
-        rows.append(replays.source.rows("plant"))
-        return record(replays, *arguments, **options)
-
-    record = Replays.record
-    monkeypatch.setattr(Replays, "record", recorded)
     common = {"observer.filter_rate": 500.0}
     vary = {"identifier.P0": [1e3, 1e9], "identifier.start": [7.0, 7.5]}
     sweep = cosim.replay_sweep(log.path, vary=vary, set=common)
-    assert len(rows) == 4
-    assert all(np.shares_memory(rows[0], other) for other in rows[1:])
-    assert sweep.varied == tuple(vary)
-    values = [tuple(row.values.values()) for row in sweep.rows]
-    assert values == list(product(*vary.values()))
+    assert [tuple(row.values.values()) for row in sweep.rows] == list(product(*vary.values()))
     for row in sweep.rows:
         again = cosim.replay(log, set={**common, **row.values})
         assert row.summary == summarize(again)
         results = row.results
         assert results == results_of(summarize(again))
-        assert set(sweep.columns) == set(results)
         theta = [results[name] for name in THETA]
         assert theta == again["identifier.theta"][-1].tolist()
         apart = [results[f"{name} error"] for name in THETA]
         assert apart == np.abs(np.array(theta) - [-0.1, -0.3]).tolist()
         assert isinstance(results["identifier verdict"], str)
         assert results["identifier noise"] > 0.0
-        assert results["observer.x_a rms error"] <= results["observer.x_a largest error"]
     assert sweep["nothing"] == [None] * 4
     assert len(set(sweep[THETA[0]])) == 4
     assert sweep.passed
-    assert not list(log.path.parent.glob("*[0-9].mcap"))
 
 
 @pytest.mark.slow
@@ -357,29 +304,17 @@ def test_a_replay_that_fails_is_a_row(failing):
 
 
 def test_logs_of_replays_are_written_to_a_folder_that_is_named(failing, tmp_path):
-    """In the order of the rows; those that are there are not replaced. Progress is that of all.
-
-    Without a truth the results are the last values of all outputs.
-    """
+    """In the order of the rows; those that are there are not replaced."""
     vary = {"u.amplitude": [1.0, 3.0]}
     folder = tmp_path / "new" / "logs"
-    seen = []
-    sweep = cosim.replay_sweep(failing, vary=vary, out=folder, progress=lambda *at: seen.append(at))
-    assert sweep.columns == ("u.y", "v.y", "w.y")
+    sweep = cosim.replay_sweep(failing, vary=vary, out=folder)
     first, second = sweep["u.y"]
     assert second == pytest.approx(3.0 * first)
     assert [row.path for row in sweep.rows] == [folder / "1.mcap", folder / "2.mcap"]
     assert cosim.open_log(folder / "2.mcap")["u.y"][-1] == second
-    assert seen == sorted(seen)
-    assert seen[-1] == (0.4, 0.4)
-    assert cosim.replay_sweep(failing, vary=vary, out=folder, force=True).passed
-    for options, message in (
-        ({"out": folder}, "exists"),
-        ({"out": tmp_path / "x.mcap"}, r"out: .*x\.mcap'"),
-        ({"force": True}, "force=True"),
-    ):
-        with pytest.raises(UsageError, match=message):
-            cosim.replay_sweep(failing, vary=vary, **options)
+    cases = [({"out": folder}, "exists"), ({"out": tmp_path / "x.mcap"}, r"out: .*x\.mcap'")]
+    cases.append(({"force": True}, "force=True"))
+    check_refused(cases, lambda options: cosim.replay_sweep(failing, vary=vary, **options))
 
 
 def test_a_recording_of_another_tool_is_replayed_with_varied_values(tmp_path):

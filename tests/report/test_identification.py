@@ -11,8 +11,7 @@ import pytest
 
 import cosim
 from cosim.report.estimators import IF_WRONG
-from cosim.report.plots import identification
-from cosim.report.plots.runs import Curve, estimate_curves
+from cosim.report.plots.runs import estimate_curves
 from cosim.report.summary import summarize
 from cosim.report.tables.identification import report_identification
 from cosim.scenario.record import IDENTIFICATION
@@ -241,34 +240,6 @@ def test_wrong_use_is_refused(logs, call, tmp_path, subtests):
 def texts(path):
     """Return the texts of an SVG."""
     return re.findall(r"<text[^>]*>([^<]*)</text>", path.read_text("utf-8"))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("bounds", "verdict", "band", "title"),
-    [
-        (None, "IDENTIFIABLE", True, "its error, and 95 % band"),
-        ({1: (-0.5, -0.5)}, "INCONSISTENT", False, "its error; no 95 % band: theta[0] is {}"),
-    ],
-)
-def test_a_band_is_drawn_where_it_holds(logs, tmp_path, monkeypatch, bounds, verdict, band, title):
-    """Where noise does not explain the residual, the titles say why there is none."""
-    pytest.importorskip("matplotlib")
-    draw = Curve.draw
-    bands = {}
-
-    def keep(curve, panel, style, *, label=None):
-        draw(curve, panel, style, label=label)
-        bands[curve.name] = curve.band is not None
-
-    monkeypatch.setattr(Curve, "draw", keep)
-    found = identified(logs["first"], bounds=bounds)
-    assert {one.verdict for one in found.assessment.parameters} == {verdict}
-    identification.plot_identification(found, tmp_path / "a.svg")
-    shown = texts(tmp_path / "a.svg")
-    assert (bands["delta"], bands["error of delta"]) == (band, band)
-    assert title.format(verdict) in shown
-    assert shown.count(f"no 95 % band: theta[0] is {verdict}") == (not band)
 
 
 def test_the_band_of_theta_is_that_of_its_standard_error(logs):

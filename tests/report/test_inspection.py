@@ -14,7 +14,7 @@ from cosim.report import inspection
 from cosim.report.inspection import describe_log, describe_recording, describe_scenario
 from cosim.scenario.exporting import export_component
 from tests.log.foreign.field_logs import EPOCH, state_class, write_json
-from tests.log.recordings import STEP_NS, record
+from tests.log.recordings import record
 from tests.scenario.user_modules import RELAY
 
 SCENARIO = """
@@ -47,20 +47,6 @@ def test_a_connection_shows_all_its_sources_and_one_conversion(tmp_path):
         "conversion": "((v * 1.0 + 0.0) - 0.0) / 0.001",
     }
     assert expected.items() <= row.items()
-
-
-def test_messages_are_shown_in_the_order_of_time_up_to_a_number(tmp_path, monkeypatch):
-    """How many are left out is said."""
-    path = tmp_path / "x.mcap"
-    texts = [f"message {i}" for i in range(4)]
-    record(path, messages=[(i * STEP_NS, "info", "plant", text) for i, text in enumerate(texts)])
-    shown = describe_log(str(path))
-    assert [row["text"] for row in shown["messages"]] == texts
-    assert "more messages" not in shown
-    monkeypatch.setattr(inspection, "MOST_MESSAGES", 3)
-    shown = describe_log(str(path))
-    assert [row["text"] for row in shown["messages"]] == texts[:3]
-    assert shown["more messages"] == {"not shown": 1}
 
 
 def test_a_log_says_when_by_what_and_on_which_machine_it_was_written(tmp_path):
@@ -178,20 +164,6 @@ def test_fields_of_ros_are_those_of_its_schema(tmp_path):
         "/demo.n[]": "int8",
         "/demo.p[].y": "float32",
         "/demo.on": "bool",
-    }
-
-
-def test_fields_of_json_are_those_of_its_first_message(tmp_path):
-    """Lists of numbers as a whole, objects and lists of objects by their elements."""
-    value = {"a": [1, 2.5], "b": [{"c": 1}, {"d": True}], "t": {"sec": 1, "nsec": 2}, "e": []}
-    path = write_json(tmp_path / "log.mcap", {"/t": [(EPOCH, value), (EPOCH + 1, {"z": 1})]})
-    assert fields_of(path) == {
-        "/t.a[0:2]": "number",
-        "/t.b[0].c": "number",
-        "/t.b[1].d": "bool",
-        "/t.t": "time",
-        "/t.t.sec": "number",
-        "/t.t.nsec": "number",
     }
 
 

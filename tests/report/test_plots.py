@@ -3,7 +3,6 @@
 import re
 from contextlib import nullcontext
 from functools import partial
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -14,19 +13,17 @@ from cosim.errors import UsageError
 from cosim.log import open_log
 from cosim.log.comparison.diff import diff
 from cosim.report.plots import runs
-from cosim.report.plots.picture import Picture, PictureOptions, broken
+from cosim.report.plots.picture import PictureOptions, broken
 from cosim.report.plots.runs import (
     Curve,
     curves_of,
     draw_curves,
     error_curves,
-    near_most,
     plot_difference,
     plot_run,
     plot_signals,
     truth_curves,
 )
-from cosim.units import Unit
 from tests.log.recordings import STEP_NS, layout, record, table
 from tests.scenario.refusals import check_refused
 
@@ -200,35 +197,6 @@ def test_the_standard_picture_shows_estimates_truth_and_errors(out):
     assert truth == [([-0.1], 0), ([-0.3], 0)]  # which are drawn over the whole axis
 
 
-@pytest.mark.slow
-def test_a_run_without_truth_has_a_picture_of_its_outputs(logs, tmp_path, out):
-    """A panel for each; where there are many, the title says how many are shown.
-
-    The lag's output is its state, and shown, as it has no other.
-    """
-    plot_run(logs[0], out)
-    assert {"a.y [m]", "b.y [mm]", "c.y[0]", "e.y", "lengths"} <= set(texts(out))
-    many = tmp_path / "many.toml"
-    lines = [f'c{i} = {{ kind = "constant", value = 1.0 }}' for i in range(60)]
-    many.write_text(SCENARIO.partition("a =")[0] + "\n".join(lines))
-    run = cosim.run(many)
-    plot_run(run, out)
-    assert "lengths: the first 12 of 60 outputs" in texts(out)
-    plot_signals(run, [",".join(f"c{i}.y" for i in range(60))], out)  # whose legend would not fit
-    assert {"the first 24 of 60", "c23.y"} <= set(texts(out))
-    assert "c24.y" not in texts(out)
-
-
-def test_a_method_far_beyond_most_does_not_hide_the_others():
-    """It leaves the panel; curves of one size, one alone and one without a value all stay."""
-    t = np.linspace(0.0, 1.0, 50)
-    curves = []
-    for size in (1.0, 2.0, 0.5, 1e3, np.nan):
-        curves.append(Curve("theta", Unit(None), t, size * np.sin(9.0 * t)))
-    assert list(map(id, near_most(curves[:4]))) == list(map(id, curves[:3]))
-    assert len(near_most(curves[3:4])) == len(near_most(curves[4:])) == 1
-
-
 # --- differences ---
 
 
@@ -314,30 +282,3 @@ def test_a_number_beside_none_is_drawn_where_it_is(rows, draw):
 def test_a_text_is_broken_after_blanks_and_names_after_their_parts(text, count, lines):
     """No line is longer, and nothing is lost but blanks."""
     assert broken(text, count).split("\n") == lines
-
-
-@pytest.mark.parametrize(
-    ("scale", "low", "high", "fewest"),
-    [
-        ("log", 0.011, 0.08, 3),  # 3e-2 and 4e-2 would be on each other
-        ("log", 0.5, 5e4, 5),
-        ("linear", 1.7e9 + 0.01, 1.7e9 + 0.02, 2),
-    ],
-)
-def test_numbers_at_axes_are_whole_and_apart(out, scale, low, high, fewest):
-    """None runs into another; but for time none is to be added to another beside the axis."""
-    picture = Picture(1, PictureOptions(size=(14.0, 9.0)), shares_time=False)
-    panel = picture.panels[0]
-    values = np.linspace(low, high, 20)
-    draw = panel.loglog if scale == "log" else panel.plot
-    draw(values, values)
-    panel.set_ylabel("a name that is far too long for the height of the picture that it stands at")
-    picture.save(out)
-    panel.figure.draw_without_rendering()  # at its own resolution again
-    assert panel.yaxis.label.get_window_extent().height <= panel.figure.bbox.height
-    assert "+" not in panel.yaxis.get_offset_text().get_text()
-    for axis in (panel.xaxis, panel.yaxis):
-        shown = [*axis.get_majorticklabels(), *axis.get_minorticklabels()]
-        seen = [label.get_window_extent() for label in shown if label.get_text()]
-        assert len(seen) >= fewest
-        assert not [pair for pair in combinations(seen, 2) if pair[0].overlaps(pair[1])]

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.errors import LogError, NonFiniteError, RunError, UsageError
+from cosim.errors import LogError, NonFiniteError, UsageError
 from cosim.log import McapRecorder, open_log
 from cosim.report.summary import summarize
 from cosim.scenario.document.document import shipped
 from cosim.scenario.exporting import export_component
 from cosim.scenario.record import ReplayOrigin, replay_origin
-from tests.fmi import eventful, lag
+from tests.fmi import lag
 from tests.scenario.refusals import check_refused
 from tests.scenario.signals import COARSE
 
@@ -244,12 +244,6 @@ def test_options_of_a_log_are_refused_where_none_is_written(recorded):
                 act(**{option: True})
 
 
-def test_a_view_that_shows_nothing_is_refused():
-    """What shows a run is a server, not the number of its port."""
-    with pytest.raises(UsageError, match=r"live: expected a cosim\.live\.LiveServer, got 8765"):
-        cosim.run("academic", live=8765)
-
-
 def test_a_log_carries_what_it_takes_to_check_it(logged):
     """Scenario text, parameters, designs, schedule and result are in the file."""
     name, path, _ = logged
@@ -462,15 +456,6 @@ def test_several_signals_of_a_recording_are_stacked():
 
 
 @pytest.mark.usefixtures("without_verdicts")
-def test_values_from_numpy_are_what_they_hold():
-    """Arrays, numbers and truth values, as settings and as options."""
-    changes = {"observer.L": np.array([8.0, 0.0]), "scenario.stop": np.float64(0.1)}
-    run = cosim.run("academic", set=changes, block=np.int64(3), force=np.False_)
-    assert np.array_equal(run.plan.designs["observer"]["A"][0, :1], [-8.0])
-    assert run.steps == 100
-
-
-@pytest.mark.usefixtures("without_verdicts")
 def test_a_recording_must_cover_the_run_and_is_not_written_over(tmp_path):
     """A recording that is too short or has no row is refused, and so is writing over it.
 
@@ -534,37 +519,6 @@ def test_two_fmus_in_a_loop_do_not_hide_an_inner_step_from_each_other(tmp_path):
     fine = cosim.run(scenario, set={"components.a.start": {}, "components.b.start": {}})
     assert "inner step" not in str(fine.messages())
     assert summarize(fine).loops == ("gauss-seidel a b (a)",)
-
-
-def test_messages_of_a_run_that_ended_early_are_those_up_to_its_end(tmp_path):
-    """An FMU may be ahead of the component that ends the run, by as much as a block."""
-    text = f"""
-[scenario]
-name = "early"
-stop = 2.0
-step = 0.01
-
-[components]
-saw = {{ kind = "fmu", path = "{eventful.build("SAW")}", solver = "rk4", start = {{ p = 0.05 }} }}
-ramp = {{ kind = "ramp", slope = 1.0 }}
-ends = {{ kind = "look-up-table", u = [0.0, 0.5], y = [0.0, 1.0], extrapolation = "error" }}
-
-[connections]
-"ends.u" = "ramp.y"
-"saw.u" = "ramp.y"
-"saw.d" = "ramp.y"
-"""
-    path = tmp_path / "early.toml"
-    path.write_text(text)
-    found = []
-    for block in (1, 7, 200):
-        out = tmp_path / f"{block}.mcap"
-        with pytest.raises(RunError, match="'ends' stopped"):
-            cosim.run(path, out=out, block=block)
-        messages = [m for m in open_log(out).messages() if m.source == "saw"]
-        found.append([(m.time_ns, m.text) for m in messages if "time event" in m.text])
-    assert [time_ns for time_ns, _ in found[0]] == [5 * 10**7 * k for k in range(1, 11)]
-    assert found[1:] == found[:1] * 2
 
 
 def test_a_run_without_verdicts_has_the_bits_of_one_with_them(tmp_path):

@@ -103,7 +103,9 @@ def test_a_replay_in_parts_prints_what_one_in_memory_does(log, capsys, request, 
     whole = output_of(capsys, log, *arguments)
     request.getfixturevalue("small_limits")
     in_parts = output_of(capsys, log, *arguments)
-    sums = [[s.pop("rms") for s in content.get("signals", [])] for content in (whole, in_parts)]
+    sums = [
+        [s.pop("rms", 0.0) for s in content.get("signals", [])] for content in (whole, in_parts)
+    ]
     assert sums[1] == pytest.approx(sums[0], rel=1e-12)
     assert in_parts == whole
     assert in_parts.get("log") is None

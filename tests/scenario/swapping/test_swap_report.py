@@ -17,7 +17,7 @@ from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import find
 from cosim.scenario.exporting import export_component
 from cosim.scenario.recordings.swap_comparison import compare_swaps
-from tests.scenario.swapping.renamed import MAP, packed, renamed
+from tests.scenario.swapping.renamed import packed, renamed
 
 SHORT = {"scenario.stop": 0.1}
 
@@ -167,23 +167,6 @@ def test_an_element_of_a_vector_is_proposed(folder):
         folder, "packed.fmu", {"plant.u": "force", "plant.delta": "push", "plant.x_a": "s"}
     )
     assert [(one.port, one.name) for one in found.reports["plant"].proposals] == [("y", "out[2]")]
-
-
-def test_a_mapped_port_is_compared_with_the_one_it_replaces(folder):
-    """Under both names; it is shown with the scenario's."""
-    found = report(folder, "other.fmu", MAP)
-    assert not found.problems
-    rows = {(row.port, row.aspect): row for row in found.reports["plant"].rows}
-    initial = rows["y", "initial output"]
-    assert (initial.before, initial.verdict) == ([1.0], "ok")
-    labels = {row.label for row in found.reports["plant"].rows}
-    assert {"u -> force", "delta -> push", "y -> out1", "x_a -> s"} <= labels
-    recorded = {(row["port"], row["source"]) for row in found.reports["plant"].to_dict()["ports"]}
-    assert {("plant.y", "out1"), ("plant.x_b", None), ("plant", None)} <= recorded
-    assert set(verdicts(found, "differs", "error")) == {
-        ("x_b", "causality"),
-        ("aux", "causality"),
-    }, "which nothing needs"
 
 
 def test_a_recording_says_what_it_does_not_know(folder):
