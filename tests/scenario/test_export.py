@@ -272,6 +272,9 @@ def test_an_impossible_export_is_refused(tmp_path):
         export_component("academic", name, tmp_path / "x.fmu", **others)
 
     check_refused(cases, act, CosimError)
+    long = cosim.load("academic").set({"scenario.name": 33 * "温"})
+    with pytest.raises(CosimError, match=r"expected at most .* characters"):
+        export_component(long, "plant", tmp_path / "x.fmu")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -2,12 +2,14 @@
 
 import pickle
 import threading
+import warnings
 
 import numpy as np
 import pytest
 
 import cosim
-from cosim.errors import GraphError, LogError, UsageError
+from cosim.errors import GraphError, LogError, RunError, UsageError
+from cosim.fmi.component import Fmu
 from cosim.log import Log
 from cosim.report.verification import verify
 from cosim.scenario.exporting import export_component
@@ -398,6 +400,19 @@ def test_a_session_used_from_another_thread_is_an_error(tmp_path):
     assert len(cosim.open_log(sim.logs[0])["plant.y"]) == 4
 
 
+def test_an_fmu_that_fails_at_its_end_fails_the_session(plant, monkeypatch):
+    """Without a log nobody else would say it."""
+
+    def fails(self):
+        raise RunError("no")
+
+    sim = scenario().edit(swap={"plant": str(plant)}).start()
+    sim.step()
+    monkeypatch.setattr(Fmu, "terminate", fails)
+    with pytest.raises(RunError, match="'plant' failed at the end of the run: no"):
+        sim.close()
+
+
 HELD = {"scenario.input_interpolation": "zero-order", "scenario.stop": 0.01}
 
 
@@ -409,3 +424,13 @@ def test_a_session_shows_its_warnings_when_it_starts():
     session.reset()
     session.close()
     assert len(shown) == len({str(one.message) for one in shown}) == 2
+
+
+def test_a_session_whose_warnings_are_errors_does_not_start(tmp_path):
+    """Its log is closed."""
+    path = tmp_path / "a.mcap"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(cosim.CosimWarning, match="do not trust delta"):
+            cosim.load("academic").edit(set=HELD).start(out=path)
+    assert cosim.open_log(path).status == "complete"
