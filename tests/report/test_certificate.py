@@ -5,9 +5,7 @@ import re
 
 import pytest
 
-import cosim
 from cosim.report.certificate import CouplingShare
-from cosim.report.tables.run import print_summary
 from tests.scenario import certified
 from tests.scenario.certified import write
 
@@ -42,32 +40,6 @@ def test_table_and_log_have_estimates_and_reasons(tmp_path, call):
     late = signals["late.y"]
     assert (late["largest"], late["at most"]) == (None, None)
     assert "jump.y jumps between" in late["no estimate"]
-
-
-@pytest.mark.parametrize(
-    ("error", "row"),
-    [
-        ({"bound": 0.5, "order": 1.5, "reason": "not steady"}, ["at most 0.5", "", "", "1.50"]),
-        (
-            {"largest": 0.5, "time": 0.1, "last": -0.2, "order": 1.0},
-            ["0.5", "0.1 s", "-0.2", "1.00"],
-        ),
-        ({"bound": 0.5, "is_rounding": True, "reason": "rounding"}, None),
-        ({"largest": 0.0, "time": 0.0, "last": 0.0}, None),
-        ({"reason": "it has no value"}, None),
-    ],
-)
-def test_a_row_has_an_estimate_or_an_upper_bound(capsys, error, row):
-    """All other signals are below, with the reason."""
-    run = cosim.run(certified.parsed(certified.EXACT))
-    name = next(iter(run))
-    steps = {"step": 0.1, "finer_steps": [0.05, 0.025], "every": 1}
-    run.result({"certificate": {**steps, "signals": {name: error}}})
-    print_summary(run, wall={"run": 1.0}, as_json=False, quiet=False)
-    _, _, table = capsys.readouterr().out.partition("error of the communication step")
-    cells = {line.split("\t")[0]: line.split("\t")[1:] for line in table.splitlines()[1:]}
-    assert cells.get(name) == row
-    assert row or any(name in values[0] for values in cells.values())
 
 
 @pytest.mark.parametrize(

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-from statistics import NormalDist
 
 import numpy as np
 import pytest
 
 import cosim
 from cosim.report.estimators import IF_WRONG
-from cosim.report.plots.runs import estimate_curves
 from cosim.report.summary import summarize
 from cosim.report.tables.identification import report_identification
 from cosim.scenario.record import IDENTIFICATION
@@ -240,14 +238,3 @@ def test_wrong_use_is_refused(logs, call, tmp_path, subtests):
 def texts(path):
     """Return the texts of an SVG."""
     return re.findall(r"<text[^>]*>([^<]*)</text>", path.read_text("utf-8"))
-
-
-def test_the_band_of_theta_is_that_of_its_standard_error(logs):
-    """The standard picture draws it around theta; other estimates have none."""
-    log = cosim.open_log(logs["first"])
-    curves = estimate_curves(log, "identifier.theta")
-    for curve, error in zip(curves, log["identifier.standard_error"].T, strict=True):
-        expected = NormalDist().inv_cdf(0.975) * error
-        np.testing.assert_allclose(curve.band, expected, rtol=1e-12)
-    (delta,) = estimate_curves(log, "observer.delta")
-    assert delta.band is None

@@ -13,7 +13,7 @@ from cosim.errors import UsageError
 from cosim.log import open_log
 from cosim.log.comparison.diff import diff
 from cosim.report.plots import runs
-from cosim.report.plots.picture import PictureOptions, broken
+from cosim.report.plots.picture import PictureOptions
 from cosim.report.plots.runs import (
     Curve,
     curves_of,
@@ -264,21 +264,3 @@ def test_a_number_beside_none_is_drawn_where_it_is(rows, draw):
 
 
 # --- texts that fit ---
-
-
-@pytest.mark.parametrize(
-    ("text", "count", "lines"),
-    [
-        ("over plant.mass and rate", 40, ["over plant.mass and rate"]),
-        ("over plant.mass and rate", 16, ["over plant.mass", "and rate"]),
-        ("plant.filter_rate [rad/s]", 14, ["plant.filter_", "rate [rad/s]"]),
-        ("a.very_long_name", 6, ["a.", "very_", "long_", "name"]),
-        ("abcdefghij", 4, ["abcd", "efgh", "ij"]),
-        ("one\ntwo words", 4, ["one", "two", "word", "s"]),
-        ("ends  ", 4, ["ends"]),
-        ("", 4, [""]),
-    ],
-)
-def test_a_text_is_broken_after_blanks_and_names_after_their_parts(text, count, lines):
-    """No line is longer, and nothing is lost but blanks."""
-    assert broken(text, count).split("\n") == lines

@@ -353,15 +353,3 @@ def test_an_export_needs_no_files_of_unrelated_components(tmp_path):
     assert "FMI 2.0, model exchange and co-simulation" in lines[0]
     with pytest.raises(CosimError, match=r"missing\.fmu"):
         export_component(str(scenario), "identifier", tmp_path / "identifier.fmu")
-
-
-@pytest.mark.slow
-def test_an_identifier_whose_signals_have_units_is_exported(tmp_path):
-    """With the unit that its input has from the observer."""
-    scenario = tmp_path / "academic.toml"
-    text = find("academic").text
-    table = "[components.observer]\n"
-    scenario.write_text(text.replace(table, f'{table}unit = {{ y = "V" }}\n', 1))
-    changes = {"scenario.stop": 1.0}
-    export_component(cosim.load(scenario).set(changes), "identifier", tmp_path / "identifier.fmu")
-    assert read(tmp_path / "identifier.fmu").description["y"].unit == "V"

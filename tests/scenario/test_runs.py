@@ -319,27 +319,6 @@ def test_a_log_is_never_written_over_what_is_no_log(tmp_path):
         cosim.replay(tmp_path / "a.mcap", out=tmp_path / "a.mcap", force=True)
 
 
-def test_messages_of_the_run_are_in_the_log(tmp_path):
-    """Warnings and the reason of the end stand on /cosim/log, with their time."""
-    path = tmp_path / "a.mcap"
-    changes = {
-        "components.bad": {"kind": "expression", "y": "1/(t - 0.05)"},
-        "scenario.input_interpolation": "zero-order",
-        "scenario.stop": 0.1,
-    }
-    with pytest.raises(NonFiniteError) as error:
-        cosim.run("academic", out=path, set=changes)
-    assert any("do not trust delta" in note for note in error.value.__notes__)
-    found = [
-        (message.time_ns, message.level, message.source) for message in open_log(path).messages()
-    ]
-    assert found == [
-        (0, "warning", "observer"),
-        (0, "warning", "scenario.step"),
-        (49_000_000, "error", "run"),
-    ]
-
-
 def test_a_run_in_memory_has_the_messages_and_results_of_a_log(tmp_path):
     """Warnings, the messages of an FMU and the last row, also where nothing is written."""
     lag.build(tmp_path, "2").rename(tmp_path / "lag.fmu")

@@ -97,15 +97,3 @@ def test_a_stacked_truth_is_checked(tmp_path):
         ("[]", r"has size 2, .*\[\] has size 0"),
     ]
     check_refused(cases, run, ScenarioError)
-
-
-def test_the_unit_of_every_port_of_a_stacked_truth_is_checked(tmp_path):
-    """Each is compared in the unit of the estimate."""
-    pair = {
-        "components.mass": {"kind": "constant", "value": 1.0, "unit": "kg"},
-        "components.pair": {"kind": "constant", "value": [293.15, 1.0], "unit": "K"},
-    }
-    stacked = room(tmp_path).set({**pair, "truth.pair.y": ["room.y", "sensor.y"]})
-    assert summarize(cosim.run(stacked)).signals[1].last == 292.15
-    with pytest.raises(ScenarioError, match=r"truth\.pair\.y.*'K', .*'mass\.y' .*'kg'"):
-        cosim.run(stacked.set({"truth.pair.y": ["room.y", "mass.y"]}))

@@ -12,11 +12,6 @@ from tests.scenario.refusals import check_refused
 
 TABLES = ["scenario", "models", "connections", "truth", "actions", "record", "swap", "components"]
 THETA = [-0.1, -0.3]
-FMU = """
-scenario = { name = "x", stop = 1.0, step = 0.1 }
-[components]
-plant = { kind = "fmu", path = "plant.fmu", start = { gains = [2.0, 0.5], level = 1.0 } }
-"""
 ACTED = """
 scenario = { name = "x", stop = 1.0, step = 0.5 }
 components = { u = { kind = "constant", value = 1.0 } }
@@ -185,36 +180,6 @@ def test_a_problem_with_the_whole_list_names_the_edit_of_its_element(academic):
     message = r"academic:\d+ \(with set\['observer\.L\[0\]'\]\): .*Hurwitz"
     with pytest.raises(UsageError, match=message):
         cosim.run(academic.set({"observer.L[0]": -50.0}))
-
-
-def test_names_of_ports_and_variables_stay_names(tmp_path, academic):
-    """An element of a connected input, and of a variable of an FMU that has a table of starts."""
-    ports = academic.set({"connections.plant.u[0]": "u.y"})
-    assert tree(ports)["connections"]["plant.u[0]"] == "u.y"
-    scenario = loaded(tmp_path, FMU)
-    changed = scenario.set({"plant.start.x[1]": 2.0, "plant.start.gains[1]": 0.75})
-    start = tree(changed)["components"]["plant"]["start"]
-    assert start == {"gains": [2.0, 0.75], "level": 1.0, "x[1]": 2.0}
-    plant = tree(changed.set({"plant.start.x[1]": 3.0, "plant.unit.y[0]": "m"}))["components"]
-    assert plant["plant"]["start"]["x[1]"] == 3.0
-    assert plant["plant"]["unit"] == {"y[0]": "m"}
-    with pytest.raises(ScenarioError, match=r"plant\.start\.level: expected a list, got 1\.0"):
-        scenario.set({"plant.start.level[0]": 2.0})
-
-
-def test_an_action_is_edited_by_either_spelling_of_its_key(tmp_path):
-    """``actions[0]`` is ``actions.0``; a replay refuses both."""
-    scenario = loaded(tmp_path, ACTED)
-    edited = scenario.set({"actions[0].at": 1.0})
-    assert edited.document.changes == {"actions.0.at": 1.0}
-    assert edited.actions[0].at == 1.0
-    with pytest.raises(ScenarioError, match=r"actions has no element '1'; available: 0 to 0"):
-        scenario.set({"actions[1].at": 1.0})
-    with pytest.raises(ScenarioError, match=r"set\['actions\[0\]\.set\.u'\]: .*given twice"):
-        scenario.set({"actions[0].set.u": {"value": 3.0}})
-    log = cosim.run(scenario, out=tmp_path / "x.mcap")
-    with pytest.raises(UsageError, match="actions"):
-        cosim.replay(log, set={"actions[0].at": 1.0})
 
 
 # --- values of the command line ---

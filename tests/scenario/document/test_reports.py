@@ -11,8 +11,6 @@ from cosim.cli import main
 from cosim.errors import CosimError, ScenarioError
 from cosim.scenario.building.build import Builder, parse
 from cosim.scenario.document.document import Document, find
-from cosim.theory.disturbances import regression
-from cosim.theory.observers import observer
 
 TEXT = find("academic").text
 
@@ -125,42 +123,6 @@ def test_a_file_without_settings_names_the_table():
     (line,) = report('[components.u]\nkind = "constant"\nvalue = 1.0\n')
     assert "[scenario]" in line
     assert "step" in line
-
-
-def test_a_connection_that_follows_from_another_one_is_told_where_that_stands():
-    """The line of the file that leads to it, and how to change that one alone."""
-    wrong = edited(
-        (OBSERVER_Y, '"observer.y" = { from = "plant.y", unit = "m" }'),
-        ("[components.identifier]\n", '[components.identifier]\nunit = { y = "s" }\n'),
-    )
-    (line,) = report(wrong)
-    number = line_of(wrong, '"observer.y"')
-    assert line.startswith(f"x.toml:{number}: connections.observer.y: ")
-    assert "plant.y -> identifier.y: unit 'm'" in line
-    assert line.endswith("'identifier.y' has the source of 'observer.y' by default")
-
-
-def test_a_build_designs_every_component_once(monkeypatch):
-    """Start time, verdict, problem and units of an identifier rest on one design of its observer.
-
-    Its tables count as read by all of them: a change of the model is one of the identifier.
-    """
-    calls = []
-
-    def counted(function, name):
-        def call(*arguments, **options):
-            calls.append(name)
-            return function(*arguments, **options)
-
-        return call
-
-    monkeypatch.setattr(observer, "design", counted(observer.design, "observer"))
-    monkeypatch.setattr(regression, "expand", counted(regression.expand, "regressor"))
-    with ExitStack() as resources:
-        experiment = Builder(cosim.load("academic"), resources).experiment()
-    assert sorted(calls) == ["observer", "regressor"]
-    tables = {"components.observer", "components.regressor", "models.academic"}
-    assert experiment.built.reads["identifier"] == tables
 
 
 # --- the language of the caller ---

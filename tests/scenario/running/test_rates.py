@@ -10,7 +10,6 @@ import cosim
 from cosim.errors import ScenarioError
 from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import Document
-from cosim.scenario.exporting import export_component
 from tests.scenario.refusals import check_refused
 
 # y = x, and x+ = x + u at the end of a period, with u sampled at its start; h = 1 s
@@ -127,20 +126,6 @@ def test_inputs_of_a_period_are_held_or_interpolated():
     linear = sampled(period=0.1, input_interpolation="linear")
     assert linear["c.x"][-1] == pytest.approx(1.5, abs=1e-14)
     assert len(np.unique(linear["c.x"])) == 11  # its outputs change once a period
-
-
-def test_an_fmu_with_a_period_interpolates_or_holds(tmp_path):
-    """x' = u behind u = 1 + t over periods of 0.1 s, as of the controller itself."""
-    path = tmp_path / "sampled.toml"
-    path.write_text(FEEDTHROUGH.format(keys=""), encoding="utf-8")
-    fmu = tmp_path / "c.fmu"
-    export_component(str(path), "c", fmu)
-    held_sum = sum(0.1 * (1.0 + 0.1 * k) for k in range(10))
-    for interpolation, expected in (("linear", 1.5), ("zero-order", held_sum)):
-        settings = {"c.period": 0.1, "c.input_interpolation": interpolation}
-        log = cosim.run(path, swap={"c": f"{fmu}#cs"}, set=settings)
-        assert log["c.x"][-1] == pytest.approx(expected, abs=1e-9)
-        assert len(np.unique(log["c.x"])) == 11
 
 
 NO_RATES = [

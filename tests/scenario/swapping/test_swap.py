@@ -1,8 +1,6 @@
 """One plant for another, by name: generated, real FMUs of four makes, a recorded log."""
 
 import json
-import re
-import zipfile
 
 import numpy as np
 import pytest
@@ -10,7 +8,6 @@ import pytest
 import cosim
 from cosim.errors import ScenarioError
 from cosim.scenario.exporting import export_component
-from tests.scenario.fmu_edits import rewritten
 from tests.scenario.signals import COARSE
 
 
@@ -84,26 +81,3 @@ def test_a_start_value_of_the_fmu_can_be_set(plant):
     assert list(run["plant.x_a"][0]) == [2.0, -1.0]
     with pytest.raises(ScenarioError, match=r"x_a\[2\].*did you mean"):
         cosim.run("academic", swap={"plant": plant}, set={"plant.start": {"x_a[2]": 2.0}})
-
-
-@pytest.mark.parametrize("interface_type", ["me", "cs"])
-def test_states_that_are_no_outputs_are_logged_too(tmp_path, interface_type):
-    """A log holds every state; those of an FMU are read even where they are no outputs."""
-    scenario = tmp_path / "lag.toml"
-    scenario.write_text("""
-        scenario = { name = "lag", stop = 0.1, step = 0.01 }
-        [components]
-        u = { kind = "constant", value = 1.0 }
-        c = { kind = "controller", A = [[-1.0]], B = [[1.0]], C = [[2.0]] }
-        [connections]
-        "c.u" = "u.y"
-    """)
-    export_component(str(scenario), "c", tmp_path / "lag.fmu")
-    with zipfile.ZipFile(tmp_path / "lag.fmu") as archive:
-        text = archive.read("modelDescription.xml").decode()
-    (x,) = re.findall(r'name="x"[^>]*>', text)
-    unknown = re.search(r'<Unknown index="3"[^>]*/>', text)[0]
-    local = x.replace('causality="output"', 'causality="local"')
-    hidden = rewritten(tmp_path / "lag.fmu", tmp_path / "hidden.fmu", (x, local), (unknown, ""))
-    run = cosim.run(scenario, swap={"c": hidden}, set={"c.interface_type": interface_type})
-    assert run["c.x"][-1] == pytest.approx(1.0 - np.exp(-0.1), rel=1e-9)

@@ -6,15 +6,12 @@ The report has what stops the run, too, and which ports may have been meant.
 import ast
 import json
 import textwrap
-from dataclasses import replace
 
 import pytest
 
 import cosim
 from cosim.errors import RunError, ScenarioError
 from cosim.fmi.binary.loaded import LoadedInstance
-from cosim.scenario.building.build import parse
-from cosim.scenario.document.document import find
 from cosim.scenario.exporting import export_component
 from cosim.scenario.recordings.swap_comparison import compare_swaps
 from tests.scenario.swapping.renamed import packed, renamed
@@ -161,14 +158,6 @@ def test_what_stops_the_run_is_an_error_of_its_ports(folder):
     assert set(found) == {("u", "causality"), ("delta", "causality"), ("y", "causality")}
 
 
-def test_an_element_of_a_vector_is_proposed(folder):
-    """Of out = (x_b, x_b, y) only the last begins at 1 and has the static gains of y."""
-    found = report(
-        folder, "packed.fmu", {"plant.u": "force", "plant.delta": "push", "plant.x_a": "s"}
-    )
-    assert [(one.port, one.name) for one in found.reports["plant"].proposals] == [("y", "out[2]")]
-
-
 def test_a_recording_says_what_it_does_not_know(folder):
     """Ports and first values are there; start values, capabilities and poles are not."""
     found = report(folder, "log.mcap")
@@ -179,18 +168,6 @@ def test_a_recording_says_what_it_does_not_know(folder):
     unknown = {aspect for _, aspect in verdicts(found, "unknown")}
     assert {"start value", "static gain", "poles", "rollback"} <= unknown
     assert verdicts(found, "ok")["y", "initial output"] == "ok"
-
-
-def test_the_replaced_component_need_not_work(folder):
-    """The scenario's own plant is broken: nothing to compare with, which is said."""
-    document = find("academic")
-    text = document.text.replace("x_a0 = [1.0, -1.0]", "x_a0 = [1.0]")
-    swapped = replace(document, text=text).with_swaps({"plant": str(folder / "plant.fmu")})
-    found = compare_swaps(parse(swapped))
-    assert (found.reports, found.problems) == ({}, ())
-    ((component, text),) = found.warnings
-    assert component == "plant"
-    assert "cannot be compared with what it replaces, which cannot be built: x_a0" in text
 
 
 @pytest.fixture(scope="module")

@@ -254,25 +254,3 @@ def test_a_name_is_given_once(options, text, call):
     """The last one does not win in silence."""
     code, _, err = call("run", "academic", *options)
     assert (code, text in err) == (2, True)
-
-
-def test_ports_of_a_recorded_plant_may_be_exchanged(tmp_path):
-    """A log stands in the place of a plant under the names of a map, as an FMU does."""
-    short = {"scenario.stop": 0.1}
-    log = cosim.run("academic", set=short, out=tmp_path / "a.mcap")
-    maps = {"plant.y": "x_b", "plant.x_b": "y"}
-    run = cosim.run("academic", swap={"plant": log.path}, map=maps, set=short)
-    assert run["plant.y"].tolist() == log["plant.x_b"].tolist() == run["observer.y"].tolist()
-    assert run["plant.x_b"].tolist() == log["plant.y"].tolist()
-
-
-@pytest.mark.slow
-def test_a_port_that_nothing_connects_may_be_mapped(other, by_hand, tmp_path):
-    """The replaced component has it; a replay may rewire away from a port."""
-    names = {**MAP, "plant.x_b": "aux"}
-    out = tmp_path / "a.mcap"
-    log = cosim.run("academic", swap={"plant": other}, map=names, set=COARSE, out=out)
-    assert log["plant.x_b"].tolist() == by_hand["plant.aux"].tolist()
-    for driver in ("plant.x_a[1]", "u.y"):
-        rewired = cosim.replay(out, set={"connections.observer.y": driver})
-        assert rewired["observer.y"].tolist() == log[driver].tolist()
