@@ -74,12 +74,7 @@ def test_neither_blocks_nor_compiled_stages_change_a_bit(name, changes, tmp_path
 
 
 MIXED = """
-[scenario]
-name = "mixed"
-stop = 2.0
-step = 0.01
-coupling = "{coupling}"
-
+scenario = {{ name = "mixed", stop = 2.0, step = 0.01, coupling = "{coupling}" }}
 [components]
 reference = {{ kind = "step", time = 0.5 }}
 noise = {{ kind = "noise", deviation = 0.01, seed = 7 }}

@@ -9,11 +9,7 @@ from cosim.report.summary import summarize
 from tests.scenario.actions.replays import check_actions_refused, verified_replay
 
 BASE = """
-[scenario]
-name = "acted"
-stop = 4.0
-step = 0.1
-
+scenario = { name = "acted", stop = 4.0, step = 0.1 }
 [components]
 s = { kind = "sine", rate = 1.0, offset = 1.0 }
 two = { kind = "constant", value = [1.0, 2.0] }

@@ -20,11 +20,7 @@ STEP = 0.1
 
 
 BASE = """
-[scenario]
-name = "set"
-stop = 4.0
-step = 0.1
-
+scenario = { name = "set", stop = 4.0, step = 0.1 }
 [components]
 s = { kind = "sine", rate = 1.0, offset = 1.0 }
 c = { kind = "constant", value = [1.0, 2.0] }

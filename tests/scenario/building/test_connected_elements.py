@@ -7,10 +7,7 @@ from cosim.errors import ScenarioError
 from tests.scenario.refusals import check_refused
 
 SCENARIO = """
-[scenario]
-name = "plant"
-stop = 0.3
-step = 0.05
+scenario = { name = "plant", stop = 0.3, step = 0.05 }
 [components]
 a = { kind = "sine", amplitude = 1.0, rate = 3.0 }
 b = { kind = "step", time = 0.1, before = 1.0, after = 4.0 }
@@ -67,7 +64,7 @@ def test_wrong_elements_are_named(path):
         ),
         (
             {"plant.B": [[1.0, 2.0, 3.0]], "plant.D": [[0.0] * 3]},
-            r"plant\.toml:18: connections\.plant\.u\[0\]: 'plant\.u\[2\]' is not connected",
+            r"plant\.toml:15: connections\.plant\.u\[0\]: 'plant\.u\[2\]' is not connected",
         ),
     ]
     check_refused(cases, lambda change: cosim.run(path, set=change), ScenarioError)

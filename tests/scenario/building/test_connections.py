@@ -15,10 +15,7 @@ from tests.scenario.fmu_edits import rewritten
 from tests.scenario.refusals import check_refused
 
 UNITS = """
-[scenario]
-name = "units"
-stop = 1.0
-step = 0.01
+scenario = {{ name = "units", stop = 1.0, step = 0.01 }}
 [components]
 room = {{ kind = "sine", amplitude = 5.0, rate = 6.0, offset = 20.0, unit = "degC" }}
 sensor = {{ kind = "lag", time_constant = 0.2, unit = "K" }}
@@ -29,11 +26,7 @@ readout = {{ kind = "lag", time_constant = 0.1, unit = "{readout}" }}
 """
 
 LOOP = """
-[scenario]
-name = "loop"
-stop = 0.5
-step = 0.01
-coupling = "{coupling}"
+scenario = {{ name = "loop", stop = 0.5, step = 0.01, coupling = "{coupling}" }}
 [components]
 one = {{ kind = "constant", value = 1.0 }}
 plant = {{ kind = "fmu", path = "{path}" }}
@@ -79,10 +72,7 @@ def test_a_conversion_is_recorded_and_replayed_bit_for_bit(units, tmp_path):
 
 
 FMU = """
-[scenario]
-name = "fmu"
-stop = 0.5
-step = 0.01
+scenario = {{ name = "fmu", stop = 0.5, step = 0.01 }}
 [components]
 u = {{ kind = "sine", amplitude = 5.0, rate = 6.0, unit = "degC" }}
 zero = {{ kind = "constant", value = 0.0 }}
@@ -199,10 +189,7 @@ def test_a_loop_through_an_fmu_without_dependencies_runs_with_a_warning(
 
 
 INITIAL_LOOP = """
-[scenario]
-name = "initial-loop"
-stop = 0.1
-step = 0.01
+scenario = { name = "initial-loop", stop = 0.1, step = 0.01 }
 [components]
 r = { kind = "constant", value = 1.1 }
 s = { kind = "sum", signs = [1.0, -1.0] }

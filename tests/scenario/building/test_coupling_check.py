@@ -14,12 +14,7 @@ from cosim.scenario.exporting import export_component
 from cosim.scenario.record import recorded_loop_gains, recorded_warnings
 
 PAIR = """
-[scenario]
-name = "pair"
-stop = 1.0
-step = 0.01
-coupling = "jacobi"
-
+scenario = { name = "pair", stop = 1.0, step = 0.01, coupling = "jacobi" }
 [components]
 one = { kind = "controller", A = [[-0.9]], B = [[0.5]], C = [[3.0]], D = [[1.0]], x0 = [1.0] }
 two = { kind = "controller", A = [[-1.0]], B = [[10.0]], C = [[-31.0]], D = [[-0.9]], x0 = [1.0] }
@@ -68,7 +63,7 @@ def test_a_coupling_that_leaves_nothing_of_its_results_is_refused_before_the_run
         cosim.run(pair, out=tmp_path / "x.mcap")
     assert not (tmp_path / "x.mcap").exists()
     text = refusal(pair)
-    assert text.startswith(f"{pair}:5: scenario.step: {REFUSED}")
+    assert text.startswith(f"{pair}:2: scenario.step: {REFUSED}")
     assert "per step of 0.01 s (exact solution: 0.9762), by " in text
     assert 'coupling = "gauss-seidel" or coupling = "newton"; coupling_check = "warn"' in text
     step = float(text.split("use step = ")[1].split(",")[0])

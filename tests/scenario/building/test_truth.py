@@ -13,10 +13,7 @@ from cosim.scenario.document.document import Document, find
 from tests.scenario.refusals import check_refused
 
 ROOM = """
-[scenario]
-name = "room"
-stop = 1.0
-step = 0.01
+scenario = {{ name = "room", stop = 1.0, step = 0.01 }}
 [components]
 room = {{ kind = "constant", value = 20.0, unit = "degC" }}
 sensor = {{ kind = "sum", signs = [1.0], unit = "{unit}" }}

@@ -19,11 +19,7 @@ from tests.scenario.document.written import toml_of
 from tests.scenario.refusals import check_refused
 
 SCENARIO = """
-[scenario]
-name = "größe"
-stop = 0.2
-step = 0.1
-
+scenario = { name = "größe", stop = 0.2, step = 0.1 }
 [components."温度"]
 kind = "sine"
 rate = 1.0

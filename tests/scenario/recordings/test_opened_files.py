@@ -118,11 +118,7 @@ class Own:
         return u[1:]
 """
 OF_CODE = """
-[scenario]
-name = "code"
-stop = 0.1
-step = 0.01
-
+scenario = { name = "code", stop = 0.1, step = 0.01 }
 [components]
 u = { kind = "sine", rate = 5.0 }
 plant = { kind = "fmu", path = "lag.fmu" }

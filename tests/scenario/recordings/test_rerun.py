@@ -23,11 +23,7 @@ from tests.scenario.refusals import check_refused
 pytestmark = pytest.mark.usefixtures("without_verdicts")
 
 SCENARIO = """
-[scenario]
-name = "fmu"
-stop = 0.5
-step = 0.01
-
+scenario = { name = "fmu", stop = 0.5, step = 0.01 }
 [components]
 u = { kind = "sine", rate = 5.0 }
 plant = { kind = "fmu", path = "lag.fmu" }

@@ -13,11 +13,7 @@ from tests.scenario.refusals import check_refused
 
 # the plant is one that a replay takes from the log; the filter behind it is computed
 FILTERED = """
-[scenario]
-name = "filtered"
-stop = 0.5
-step = 0.01
-
+scenario = { name = "filtered", stop = 0.5, step = 0.01 }
 [components]
 u = { kind = "sine", rate = 5.0 }
 plant = { kind = "descriptor", model = "lag", x0 = [1.0] }

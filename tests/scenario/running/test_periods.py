@@ -10,11 +10,7 @@ from cosim.scenario.document.document import Document
 from tests.scenario.refusals import check_refused
 
 SAMPLED = """
-[scenario]
-name = "sampled"
-stop = 1.0
-step = 0.01
-
+scenario = {{ name = "sampled", stop = 1.0, step = 0.01 }}
 [components]
 reference = {{ kind = "ramp", slope = 1.0 }}
 controller = {{ kind = "controller", A = [[-20.0]], B = [[20.0]], C = [[1.0]], period = {period} }}

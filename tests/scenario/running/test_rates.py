@@ -90,10 +90,7 @@ def test_a_log_with_offsets_replays(tmp_path):
 
 
 FEEDTHROUGH = """
-[scenario]
-name = "sampled"
-stop = 1.0
-step = 0.01
+scenario = {{ name = "sampled", stop = 1.0, step = 0.01 }}
 [components]
 u = {{ kind = "ramp", slope = 1.0, offset = 1.0 }}
 c = {{ kind = "controller", A = [[0.0]], B = [[1.0]], C = [[1.0]], D = [[2.0]]{keys} }}

@@ -206,10 +206,7 @@ def test_units_that_convert_leave_no_warning_but_that_of_the_unit(milli):
 
 
 PAIR = """
-[scenario]
-name = "pair"
-stop = 0.1
-step = 0.01
+scenario = { name = "pair", stop = 0.1, step = 0.01 }
 [components]
 source = { kind = "sine", rate = 2.0, unit = "N" }
 part = { kind = "transfer-function", numerator = [NUMBER], denominator = [0.5, 1.0], unit = UNITS }
