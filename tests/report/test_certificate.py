@@ -19,27 +19,17 @@ def test_table_and_log_have_estimates_and_reasons(tmp_path, call):
     text += '\n    [truth]\n    "mass.y" = -0.1455\n'
     code, output, _ = call("run", write(tmp_path, text), "--certify", "--out", "a.mcap")
     assert code == 0
-    _, title, table = output.partition("\nerror of the communication step 0.01 s, ")
-    assert title
-    head, header, mass, *rows = table.splitlines()
-    assert head.endswith("with 0.005 s and 0.0025 s")
-    assert header == "signal\tlargest\tat t\tat the end\torder"
-    assert re.fullmatch(r"mass\.y\t0\.0337\t3\.3 s\t\S+\t1\.02", mass)
-    assert "no error\tjump.y: identical in all three runs" in rows
     for pattern in (
+        r"mass\.y\t0\.0337\t3\.3 s\t\S+\t1\.02",
+        r"no error\tjump.y: identical in all three runs",
         r"no estimate\tlate\.y: jump\.y jumps between .*quarter.* t = 1\.005 s.*",
         r"mass\.y\terror \S+ at the end, of which \S+ \([89]\d %\) is coupling error",
     ):
-        assert any(re.fullmatch(pattern, row) for row in rows)
-    shown = call("info", "a.mcap")[1]
-    assert "step\t0.01 s" in shown
-    assert "mass.y\t0.0337\t3.3\t" in shown
+        assert re.search(f"^{pattern}$", output, re.M), pattern
     content = json.loads(call("info", "a.mcap", "--json")[1])
     signals = {row["signal"]: row for row in content["error of the step"]}
     assert signals["mass.y"]["largest"] == 0.0337
-    late = signals["late.y"]
-    assert (late["largest"], late["at most"]) == (None, None)
-    assert "jump.y jumps between" in late["no estimate"]
+    assert signals["late.y"]["largest"] is None
 
 
 @pytest.mark.parametrize(

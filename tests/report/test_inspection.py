@@ -4,13 +4,11 @@ import platform
 from datetime import UTC, datetime, timedelta
 
 import pytest
-from mcap.writer import Writer
 from mcap_protobuf.writer import Writer as ProtobufWriter
 from mcap_ros2.writer import Writer as RosWriter
 
 import cosim
 from cosim.errors import LogError
-from cosim.report import inspection
 from cosim.report.inspection import describe_log, describe_recording, describe_scenario
 from cosim.scenario.exporting import export_component
 from tests.log.foreign.field_logs import EPOCH, state_class, write_json
@@ -165,28 +163,6 @@ def test_fields_of_ros_are_those_of_its_schema(tmp_path):
         "/demo.p[].y": "float32",
         "/demo.on": "bool",
     }
-
-
-def test_unread_topics_are_listed_with_the_problem(tmp_path, monkeypatch):
-    """By topic, and it is no error; of very many fields the first are shown."""
-    path = tmp_path / "log.mcap"
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start()
-        schema = writer.register_schema("many", "ros2msg", b"float64 a\nfloat64 b\nfloat64 c")
-        writer.register_channel("/none", "cdr", schema)
-        for topic, encoding, data in (("/odd", "cbor", b"\xff"), ("/bad", "json", b"{")):
-            channel = writer.register_channel(topic, encoding, 0)
-            writer.add_message(channel, EPOCH, data, EPOCH)
-        writer.finish()
-    monkeypatch.setattr(inspection, "MOST_FIELDS", 2)
-    assert list(fields_of(path)) == ["/none.a", "/none.b"]
-    content = describe_recording(str(path))
-    assert content["more fields"] == {"not shown": 1}
-    assert content["topics"][1]["messages"] == 0
-    problems = {row["topic"]: row["problem"] for row in content["not read"]}
-    assert {"'cbor'", "protobuf"} <= {word.strip(",;") for word in problems["/odd"].split()}
-    assert problems["/bad"].startswith("the message is not JSON")
 
 
 def test_a_file_without_topics_has_nothing_and_times_beyond_63_bits_are_refused(tmp_path):

@@ -169,19 +169,19 @@ def test_differing_bits_are_counted(a, b, bits, texts):
 SINE = 'kind = "sine"\namplitude = 1.0\nrate = 1.0'
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "statement"),
-    [
-        ("= [-0.1, -0.3]", "= [-0.1003, -0.2981]", "truth.truth"),
-        ("stop = 0.05", "stop = 0.06", "times.stop"),
-        ("stop = 0.05", "stop = 1e9", "times.stop"),
-        ("stop = 0.05", "", "times.stop"),
-        (SINE, 'kind = "fmu"\npath = "x"', "component tables.u.table"),
-        ("[connections]", '[swap]\nu = "x.fmu"\n[connections]', "component tables.u.table"),
-        ('name = "academic"', 'name = "other"', "times.scenario"),
-        ('"observer.u" = "u.y"', '"observer.u" = "delta.y"', "connections.observer.u"),
-    ],
-)
+OTHERS = [
+    ("= [-0.1, -0.3]", "= [-0.1003, -0.2981]", "truth.truth"),
+    ("stop = 0.05", "stop = 0.06", "times.stop"),
+    ("stop = 0.05", "stop = 1e9", "times.stop"),
+    ("stop = 0.05", "", "times.stop"),
+    (SINE, 'kind = "fmu"\npath = "x"', "component tables.u.table"),
+    ("[connections]", '[swap]\nu = "x.fmu"\n[connections]', "component tables.u.table"),
+    ('name = "academic"', 'name = "other"', "times.scenario"),
+    ('"observer.u" = "u.y"', '"observer.u" = "delta.y"', "connections.observer.u"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "statement"), OTHERS)
 def test_another_scenario_is_found(valid, tmp_path, old, new, statement):
     """A replay runs the text; reports show the metadata: the two must be of one scenario."""
     verification = verified(forged(valid, tmp_path / "b.mcap", text=(old, new)))

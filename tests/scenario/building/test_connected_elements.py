@@ -12,12 +12,7 @@ scenario = { name = "plant", stop = 0.3, step = 0.05 }
 a = { kind = "sine", amplitude = 1.0, rate = 3.0 }
 b = { kind = "step", time = 0.1, before = 1.0, after = 4.0 }
 meter = { kind = "gain", K = 2.0 }
-[components.plant]
-kind = "controller"
-A = [[-1.0]]
-B = [[1.0, 2.0]]
-C = [[1.0]]
-D = [[0.0, 0.0]]
+plant = { kind = "controller", A = [[-1.0]], B = [[1.0, 2.0]], C = [[1.0]] }
 [connections]
 "plant.u[1]" = "b.y"
 "plant.u[0]" = "a.y"
@@ -63,8 +58,8 @@ def test_wrong_elements_are_named(path):
             r"set\['connections\.plant\.u\[2\]'\]: 'plant\.u\[2\]'",
         ),
         (
-            {"plant.B": [[1.0, 2.0, 3.0]], "plant.D": [[0.0] * 3]},
-            r"plant\.toml:15: connections\.plant\.u\[0\]: 'plant\.u\[2\]' is not connected",
+            {"plant.B": [[1.0, 2.0, 3.0]]},
+            r"plant\.toml:10: connections\.plant\.u\[0\]: 'plant\.u\[2\]' is not connected",
         ),
     ]
     check_refused(cases, lambda change: cosim.run(path, set=change), ScenarioError)

@@ -200,20 +200,20 @@ def redeclare(content):
     items["cosim.declared"] = json.dumps(add_checksum("cosim.channel", declared))
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (put("cosim.record", "every", None), "'every'"),
-        (put("cosim.record", "components", None), "'components'"),
-        (put("cosim.record", "every", "-1"), "expected a whole number, got '-1'"),
-        (put("cosim.record", "components", "[]"), "'plant'"),
-        (put("cosim.record", "components", '["plant", "nope"]'), "'cosim.component.nope'"),
-        (put("cosim.record", "signals", "7"), "7"),
-        (put("cosim.component.u", "cosim.declared", None), "'cosim.declared'"),
-        (put("cosim.component.u", "cosim.declared", "{}"), "checksum|missing|cosim"),
-        (redeclare, "'plant' .*'x_a'"),
-    ],
-)
+WRONG = [
+    (put("cosim.record", "every", None), "'every'"),
+    (put("cosim.record", "components", None), "'components'"),
+    (put("cosim.record", "every", "-1"), "expected a whole number, got '-1'"),
+    (put("cosim.record", "components", "[]"), "'plant'"),
+    (put("cosim.record", "components", '["plant", "nope"]'), "'cosim.component.nope'"),
+    (put("cosim.record", "signals", "7"), "7"),
+    (put("cosim.component.u", "cosim.declared", None), "'cosim.declared'"),
+    (put("cosim.component.u", "cosim.declared", "{}"), "checksum|missing|cosim"),
+    (redeclare, "'plant' .*'x_a'"),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), WRONG)
 def test_the_metadata_of_a_partial_log_are_checked(part, tmp_path, change, message):
     """Somebody may have written it by hand."""
     content = take_apart(part.path)

@@ -53,16 +53,13 @@ def check_bits(again, whole):
 
 # --- of any scenario, any components ---
 
+OF_A_PID = ["setpoint", "measurement"]
 KINDS = {  # table, inputs, whether the outputs follow these at the same instant
     "gain": ("{ kind = 'gain', K = [[0.5]] }", ["u"], True),
-    "pid": (
-        "{ kind = 'pid', gain = 0.5, integral_time = 1.0 }",
-        ["setpoint", "measurement"],
-        True,
-    ),
+    "pid": ("{ kind = 'pid', gain = 0.5, integral_time = 1.0 }", OF_A_PID, True),
     "digital": (
         "{ kind = 'pid', gain = 0.2, integral_time = 1.0, period = PERIOD }",
-        ["setpoint", "measurement"],
+        OF_A_PID,
         True,
     ),
     "lag": ("{ kind = 'lag', time_constant = 0.2, initial = 0.3 }", ["u"], False),
