@@ -76,14 +76,14 @@ def recorded(folder, stop):
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
-    """Record a run of 20 000 steps; return its path."""
-    return recorded(tmp_path_factory.mktemp("log"), 20.0)
+    """Record a run of 10 000 steps; return its path."""
+    return recorded(tmp_path_factory.mktemp("log"), 10.0)
 
 
 @pytest.fixture(scope="module")
 def long_log(tmp_path_factory):
-    """Record a run of 80 000 steps; return its path."""
-    return recorded(tmp_path_factory.mktemp("long"), 80.0)
+    """Record a run of 40 000 steps; return its path."""
+    return recorded(tmp_path_factory.mktemp("long"), 40.0)
 
 
 def output_of(capsys, *arguments):

@@ -128,7 +128,7 @@ def test_any_components_follow_from_the_others(tmp_path_factory, data):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::cosim.errors.CosimWarning")
-@settings(max_examples=150, deadline=None, suppress_health_check=HealthCheck)
+@settings(max_examples=50, deadline=None, suppress_health_check=HealthCheck)
 @given(data=st.data())
 def test_any_components_of_many_scenarios_follow_from_the_others(tmp_path_factory, data):
     """The same, more often."""
