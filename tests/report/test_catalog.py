@@ -46,20 +46,6 @@ def test_everything_that_can_stand_in_a_scenario_is_listed(listed):
     assert {"substeps.rtol", "substeps.atol", "substeps.min"} <= found["settings"].keys()
 
 
-def test_a_kind_has_its_ports_and_parameters_in_the_list(listed):
-    """Those that may be omitted in brackets; JSON has their defaults."""
-    lines = listed()
-    assert any(line.startswith("sum\tu1, u2, ... -> y\t") for line in lines)
-    (observer,) = [line for line in lines if line.startswith("unknown-input-observer\t")]
-    assert "model, [L], [poles]" in observer
-    assert any("cosim list KIND" in line for line in lines)
-    kinds = listed("--json")["kinds"]
-    rate = kinds["unknown-input-observer"]["parameters"]["filter_rate"]
-    assert (rate["required"], rate["default"]) == (False, None)
-    assert rate["description"].startswith("rate of the derivative filter [rad/s]")
-    assert kinds["descriptor"]["parameters"]["solver"]["default"] == "exact"
-
-
 @pytest.mark.parametrize("name", ["start_time", "coupling", "input_interpolation"])
 def test_readme_names_the_keys_that_change_results(name):
     """Beside those that its scenarios have; on its first page or one of the others."""
@@ -81,18 +67,3 @@ def test_a_kind_is_explained_with_default_meaning_and_unit(listed):
     text = "\n".join(listed("expression"))
     assert "ports: [u1], [u2], ... -> y" in text
     assert all(f" {name}" in text for name in FUNCTIONS)
-
-
-def test_what_may_be_set_in_a_run_is_marked(listed):
-    """In a column of its own where a kind has such a key, which all are keys of their kinds."""
-    rows = [line.split("\t") for line in listed("pid")]
-    assert ["parameter", "default", "in a run", "meaning"] in rows
-    marks = {row[0]: row[2] for row in rows[3:]}
-    assert marks["gain"] == marks["upper"] == "tunable"
-    assert marks["period"] == marks["initial_integral"] == ""
-    assert "parameter\tdefault\tmeaning" in listed("delay")
-    assert "\ntunable: parameters that the FMU declares tunable" in "\n".join(listed("fmu"))
-    lag = listed("lag", "--json")
-    assert (lag["ports"], lag["tunable"]) == ("u -> y", ["time_constant"])
-    for kind in KINDS.values():
-        assert set(kind.tunable) <= set(kind.model_fields)

@@ -5,9 +5,7 @@ import re
 
 import pytest
 
-import cosim
 from cosim.report.certificate import CouplingShare
-from cosim.report.tables.run import print_summary
 from tests.scenario import certified
 from tests.scenario.certified import write
 
@@ -21,63 +19,17 @@ def test_table_and_log_have_estimates_and_reasons(tmp_path, call):
     text += '\n    [truth]\n    "mass.y" = -0.1455\n'
     code, output, _ = call("run", write(tmp_path, text), "--certify", "--out", "a.mcap")
     assert code == 0
-    _, title, table = output.partition("\nerror of the communication step 0.01 s, ")
-    assert title
-    head, header, mass, *rows = table.splitlines()
-    assert head.endswith("with 0.005 s and 0.0025 s")
-    assert header == "signal\tlargest\tat t\tat the end\torder"
-    assert re.fullmatch(r"mass\.y\t0\.0337\t3\.3 s\t\S+\t1\.02", mass)
-    assert "no error\tjump.y: identical in all three runs" in rows
     for pattern in (
+        r"mass\.y\t0\.0337\t3\.3 s\t\S+\t1\.02",
+        r"no error\tjump.y: identical in all three runs",
         r"no estimate\tlate\.y: jump\.y jumps between .*quarter.* t = 1\.005 s.*",
         r"mass\.y\terror \S+ at the end, of which \S+ \([89]\d %\) is coupling error",
     ):
-        assert any(re.fullmatch(pattern, row) for row in rows)
-    shown = call("info", "a.mcap")[1]
-    assert "step\t0.01 s" in shown
-    assert "mass.y\t0.0337\t3.3\t" in shown
+        assert re.search(f"^{pattern}$", output, re.M), pattern
     content = json.loads(call("info", "a.mcap", "--json")[1])
     signals = {row["signal"]: row for row in content["error of the step"]}
     assert signals["mass.y"]["largest"] == 0.0337
-    late = signals["late.y"]
-    assert (late["largest"], late["at most"]) == (None, None)
-    assert "jump.y jumps between" in late["no estimate"]
-
-
-@pytest.mark.parametrize(
-    ("error", "row"),
-    [
-        ({"bound": 0.5, "order": 1.5, "reason": "not steady"}, ["at most 0.5", "", "", "1.50"]),
-        (
-            {"largest": 0.5, "time": 0.1, "last": -0.2, "order": 1.0},
-            ["0.5", "0.1 s", "-0.2", "1.00"],
-        ),
-        ({"bound": 0.5, "is_rounding": True, "reason": "rounding"}, None),
-        ({"largest": 0.0, "time": 0.0, "last": 0.0}, None),
-        ({"reason": "it has no value"}, None),
-    ],
-)
-def test_a_row_has_an_estimate_or_an_upper_bound(capsys, error, row):
-    """All other signals are below, with the reason."""
-    run = cosim.run(certified.parsed(certified.EXACT))
-    name = next(iter(run))
-    steps = {"step": 0.1, "finer_steps": [0.05, 0.025], "every": 1}
-    run.result({"certificate": {**steps, "signals": {name: error}}})
-    print_summary(run, wall={"run": 1.0}, as_json=False, quiet=False)
-    _, _, table = capsys.readouterr().out.partition("error of the communication step")
-    cells = {line.split("\t")[0]: line.split("\t")[1:] for line in table.splitlines()[1:]}
-    assert cells.get(name) == row
-    assert row or any(name in values[0] for values in cells.values())
-
-
-def test_ends_that_differ_are_named_and_json_has_the_certificate(tmp_path, call):
-    certify = ("run", write(tmp_path, certified.SPRING), "--certify", "--out", "a.mcap", "--force")
-    _, output, _ = call(*certify, "--set", "scenario.until=mass.y < 0")
-    assert re.search(r"note\t.*0\.79 s, 0\.79 s, 0\.7875 s.* up to 0\.7875 s\n", output)
-    found = json.loads(call(*certify, "--json")[1])["certificate"]
-    assert found["finer_steps"] == [0.005, 0.0025]
-    (mass,) = [row for row in found["signals"] if row["signal"] == "mass.y"]
-    assert mass["order"] == pytest.approx(1.0, abs=0.1)
+    assert signals["late.y"]["largest"] is None
 
 
 @pytest.mark.parametrize(

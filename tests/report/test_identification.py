@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-from statistics import NormalDist
 
 import numpy as np
 import pytest
 
 import cosim
 from cosim.report.estimators import IF_WRONG
-from cosim.report.plots import identification
-from cosim.report.plots.runs import Curve, estimate_curves
 from cosim.report.summary import summarize
 from cosim.report.tables.identification import report_identification
 from cosim.scenario.record import IDENTIFICATION
@@ -69,13 +66,10 @@ def identified(path, **options):
 
 def test_the_table_shows_what_was_recorded(logs, identify):
     """Estimate, standard error, interval, verdict, correlation, noise and tests."""
-    _, output = identify()
-    shown = rows(output)
+    shown = rows(identify()[1])
     log = cosim.open_log(logs["first"])
     recorded = log.results[IDENTIFICATION]["identifier"]
-    undetected = summarize(log).identifications[0].undetected
-    assert list(undetected) == [error["text"] for error in recorded["undetected"]]
-    assert shown[IF_WRONG] == [undetected[-1]]
+    assert shown[IF_WRONG] == [summarize(log).identifications[0].undetected[-1]]
     for found in (*recorded["parameters"], *recorded["amplitudes"][0]):
         value, error, interval, verdict = shown[found["name"]]
         assert float(value) == pytest.approx(found["value"], rel=1e-5)
@@ -83,16 +77,13 @@ def test_the_table_shows_what_was_recorded(logs, identify):
         ends = tuple(map(float, interval.split(" to ")))
         assert ends == pytest.approx((found["lower"], found["upper"]), rel=1e-5)
         assert verdict == "IDENTIFIABLE"
-    assert shown["IDENTIFIABLE"] == [recorded["parameters"][0]["reason"]]
     pair, correlation = shown["correlation"][0].split(": ")
     assert pair == "theta[0], theta[1]"
     assert float(correlation) == pytest.approx(recorded["correlation"][0][1], abs=1e-3)
     assert float(shown["noise of y"][0].split(",")[0]) == pytest.approx(1e-3, rel=0.1)
-    assert shown["whiteness"][1:] == ["55.1", "passed"]
-    assert shown[str(logs["first"])][0].startswith("2001 samples; x(0) ")
+    assert shown["whiteness"][2] == "passed"
     for amplitude in recorded["amplitudes"][0]:  # 1 in the scenario
         assert amplitude["value"] == pytest.approx(1.0, abs=4.0 * amplitude["standard_error"])
-    assert shown["terms of delta"] == ["amplitude[0] exp(theta[0] t); amplitude[1] exp(theta[1] t)"]
 
 
 @pytest.mark.slow
@@ -209,31 +200,30 @@ def test_an_exact_residual_is_within_the_errors_that_are_named(tmp_path, call):
     assert allowed == pytest.approx(recorded["accuracy"][0], rel=0.01)
 
 
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        (("--bounds", "[[-1,0]]"), r"bounds: .*2 parameters"),
-        (("--bounds", "[[-1,0],[nan,1]]"), r"bounds of theta\[1\]: .*\[nan, 1\]"),
-        (("--bounds", "[[-1,0],[true,1]]"), r"bounds of theta\[1\]: .*\[True, 1\]"),
-        (("--bounds", f"[[-1,0],[1,{10**400}]]"), r"bounds of theta\[1\]: .*\[1, 1000"),
-        (("--bounds", "[[-1,0],[inf,inf]]"), r"bounds of theta\[1\]: .*\[inf, inf\]"),
-        (("--bounds", "wide"), "bounds: .*wide"),
-        (("--irregular", "-1"), "--irregular: .*-1"),
-        (("--irregular", "nan"), "--irregular: .*nan"),
-        (("--component", "observer"), "no identifier 'observer' with a model of y"),
-        (("--irregular", "1", "--bounds", "[[-1,0],[-0.3,-0.3]]"), r"theta\[1\] was not estimated"),
-        (("--plot", "a.txt"), r"a\.txt: .*'\.txt'"),
-        # no data count twice, and a copy of a log has the same rows
-        (("copy.mcap",), "copy.mcap has the rows of"),
-        (("--validate", "copy.mcap"), "copy.mcap has the rows of"),
-    ],
-)
-def test_wrong_use_is_refused(logs, call, tmp_path, options, text):
+WRONG = [
+    (("--bounds", "[[-1,0]]"), r"bounds: .*2 parameters"),
+    (("--bounds", "[[-1,0],[nan,1]]"), r"bounds of theta\[1\]: .*\[nan, 1\]"),
+    (("--bounds", "[[-1,0],[true,1]]"), r"bounds of theta\[1\]: .*\[True, 1\]"),
+    (("--bounds", f"[[-1,0],[1,{10**400}]]"), r"bounds of theta\[1\]: .*\[1, 1000"),
+    (("--bounds", "[[-1,0],[inf,inf]]"), r"bounds of theta\[1\]: .*\[inf, inf\]"),
+    (("--irregular", "-1"), "--irregular: .*-1"),
+    (("--irregular", "nan"), "--irregular: .*nan"),
+    (("--component", "observer"), "no identifier 'observer' with a model of y"),
+    (("--irregular", "1", "--bounds", "[[-1,0],[-0.3,-0.3]]"), r"theta\[1\] was not estimated"),
+    # no data count twice, and a copy of a log has the same rows
+    (("copy.mcap",), "copy.mcap has the rows of"),
+    (("--validate", "copy.mcap"), "copy.mcap has the rows of"),
+]
+
+
+def test_wrong_use_is_refused(logs, call, tmp_path, subtests):
     """Before anything is printed."""
     (tmp_path / "copy.mcap").write_bytes(logs["first"].read_bytes())
-    code, output, errors = call("identify", logs["first"], *options)
-    assert (code, output) == (2, "")
-    assert re.search(text, errors)
+    for options, text in WRONG:
+        with subtests.test(options=options):
+            code, output, errors = call("identify", logs["first"], *options)
+            assert (code, output) == (2, "")
+            assert re.search(text, errors)
 
 
 # --- pictures ---
@@ -242,54 +232,3 @@ def test_wrong_use_is_refused(logs, call, tmp_path, options, text):
 def texts(path):
     """Return the texts of an SVG."""
     return re.findall(r"<text[^>]*>([^<]*)</text>", path.read_text("utf-8"))
-
-
-@pytest.mark.slow
-def test_the_picture_shows_residual_spectrum_disturbance_and_theta(logs, identify, tmp_path):
-    """With axes, units of time and frequency; of several logs each has its panels."""
-    pytest.importorskip("matplotlib")
-    identify(logs["second"], "--plot", tmp_path / "a.svg")
-    shown = texts(tmp_path / "a.svg")
-    for text in ("residual of y", "frequency [Hz]", "error of delta"):
-        assert shown.count(text) == 2
-    assert shown.count("error of identifier.theta[1]") == 2
-    assert f"{logs['second']}: residual" in shown
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("bounds", "verdict", "band", "title"),
-    [
-        (None, "IDENTIFIABLE", True, "its error, and 95 % band"),
-        ({1: (-0.5, -0.5)}, "INCONSISTENT", False, "its error; no 95 % band: theta[0] is {}"),
-    ],
-)
-def test_a_band_is_drawn_where_it_holds(logs, tmp_path, monkeypatch, bounds, verdict, band, title):
-    """Where noise does not explain the residual, the titles say why there is none."""
-    pytest.importorskip("matplotlib")
-    draw = Curve.draw
-    bands = {}
-
-    def keep(curve, panel, style, *, label=None):
-        draw(curve, panel, style, label=label)
-        bands[curve.name] = curve.band is not None
-
-    monkeypatch.setattr(Curve, "draw", keep)
-    found = identified(logs["first"], bounds=bounds)
-    assert {one.verdict for one in found.assessment.parameters} == {verdict}
-    identification.plot_identification(found, tmp_path / "a.svg")
-    shown = texts(tmp_path / "a.svg")
-    assert (bands["delta"], bands["error of delta"]) == (band, band)
-    assert title.format(verdict) in shown
-    assert shown.count(f"no 95 % band: theta[0] is {verdict}") == (not band)
-
-
-def test_the_band_of_theta_is_that_of_its_standard_error(logs):
-    """The standard picture draws it around theta; other estimates have none."""
-    log = cosim.open_log(logs["first"])
-    curves = estimate_curves(log, "identifier.theta")
-    for curve, error in zip(curves, log["identifier.standard_error"].T, strict=True):
-        expected = NormalDist().inv_cdf(0.975) * error
-        np.testing.assert_allclose(curve.band, expected, rtol=1e-12)
-    (delta,) = estimate_curves(log, "observer.delta")
-    assert delta.band is None

@@ -4,17 +4,15 @@ import platform
 from datetime import UTC, datetime, timedelta
 
 import pytest
-from mcap.writer import Writer
 from mcap_protobuf.writer import Writer as ProtobufWriter
 from mcap_ros2.writer import Writer as RosWriter
 
 import cosim
 from cosim.errors import LogError
-from cosim.report import inspection
 from cosim.report.inspection import describe_log, describe_recording, describe_scenario
 from cosim.scenario.exporting import export_component
 from tests.log.foreign.field_logs import EPOCH, state_class, write_json
-from tests.log.recordings import STEP_NS, record
+from tests.log.recordings import record
 from tests.scenario.user_modules import RELAY
 
 SCENARIO = """
@@ -47,38 +45,6 @@ def test_a_connection_shows_all_its_sources_and_one_conversion(tmp_path):
         "conversion": "((v * 1.0 + 0.0) - 0.0) / 0.001",
     }
     assert expected.items() <= row.items()
-
-
-def test_signals_are_shown_with_what_they_are():
-    """What the component itself says of a port; nothing where it says nothing."""
-    rows = {row["signal"]: row["description"] for row in describe_scenario("academic")["signals"]}
-    assert rows["observer.delta"] == "reconstructed disturbance"
-    assert rows["identifier.theta"] == "estimated parameters of the disturbance"
-    assert rows["u.y"] is None
-
-
-@pytest.mark.parametrize("interface_type", ["me", "cs"])
-def test_an_fmu_that_saves_its_state_is_shown(tmp_path, interface_type):
-    """The description is enough, whatever the FMU could do if it ran."""
-    export_component("closed-loop", "plant", tmp_path / "plant.fmu")
-    fmu = f'{{ kind = "fmu", path = "plant.fmu", interface_type = "{interface_type}" }}'
-    found = described(tmp_path, f"{SCENARIO.partition('[')[0]}components.plant = {fmu}\n")
-    signals = [row["signal"] for row in found["signals"]]
-    assert signals == ["plant.u", "plant.delta", "plant.y", "plant.x_a", "plant.x_b"]
-
-
-def test_messages_are_shown_in_the_order_of_time_up_to_a_number(tmp_path, monkeypatch):
-    """How many are left out is said."""
-    path = tmp_path / "x.mcap"
-    texts = [f"message {i}" for i in range(4)]
-    record(path, messages=[(i * STEP_NS, "info", "plant", text) for i, text in enumerate(texts)])
-    shown = describe_log(str(path))
-    assert [row["text"] for row in shown["messages"]] == texts
-    assert "more messages" not in shown
-    monkeypatch.setattr(inspection, "MOST_MESSAGES", 3)
-    shown = describe_log(str(path))
-    assert [row["text"] for row in shown["messages"]] == texts[:3]
-    assert shown["more messages"] == {"not shown": 1}
 
 
 def test_a_log_says_when_by_what_and_on_which_machine_it_was_written(tmp_path):
@@ -197,42 +163,6 @@ def test_fields_of_ros_are_those_of_its_schema(tmp_path):
         "/demo.p[].y": "float32",
         "/demo.on": "bool",
     }
-
-
-def test_fields_of_json_are_those_of_its_first_message(tmp_path):
-    """Lists of numbers as a whole, objects and lists of objects by their elements."""
-    value = {"a": [1, 2.5], "b": [{"c": 1}, {"d": True}], "t": {"sec": 1, "nsec": 2}, "e": []}
-    path = write_json(tmp_path / "log.mcap", {"/t": [(EPOCH, value), (EPOCH + 1, {"z": 1})]})
-    assert fields_of(path) == {
-        "/t.a[0:2]": "number",
-        "/t.b[0].c": "number",
-        "/t.b[1].d": "bool",
-        "/t.t": "time",
-        "/t.t.sec": "number",
-        "/t.t.nsec": "number",
-    }
-
-
-def test_unread_topics_are_listed_with_the_problem(tmp_path, monkeypatch):
-    """By topic, and it is no error; of very many fields the first are shown."""
-    path = tmp_path / "log.mcap"
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start()
-        schema = writer.register_schema("many", "ros2msg", b"float64 a\nfloat64 b\nfloat64 c")
-        writer.register_channel("/none", "cdr", schema)
-        for topic, encoding, data in (("/odd", "cbor", b"\xff"), ("/bad", "json", b"{")):
-            channel = writer.register_channel(topic, encoding, 0)
-            writer.add_message(channel, EPOCH, data, EPOCH)
-        writer.finish()
-    monkeypatch.setattr(inspection, "MOST_FIELDS", 2)
-    assert list(fields_of(path)) == ["/none.a", "/none.b"]
-    content = describe_recording(str(path))
-    assert content["more fields"] == {"not shown": 1}
-    assert content["topics"][1]["messages"] == 0
-    problems = {row["topic"]: row["problem"] for row in content["not read"]}
-    assert {"'cbor'", "protobuf"} <= {word.strip(",;") for word in problems["/odd"].split()}
-    assert problems["/bad"].startswith("the message is not JSON")
 
 
 def test_a_file_without_topics_has_nothing_and_times_beyond_63_bits_are_refused(tmp_path):

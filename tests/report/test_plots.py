@@ -3,7 +3,6 @@
 import re
 from contextlib import nullcontext
 from functools import partial
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -14,20 +13,19 @@ from cosim.errors import UsageError
 from cosim.log import open_log
 from cosim.log.comparison.diff import diff
 from cosim.report.plots import runs
-from cosim.report.plots.picture import Picture, PictureOptions, broken
+from cosim.report.plots.picture import PictureOptions
 from cosim.report.plots.runs import (
     Curve,
     curves_of,
     draw_curves,
     error_curves,
-    near_most,
     plot_difference,
     plot_run,
     plot_signals,
     truth_curves,
 )
-from cosim.units import Unit
 from tests.log.recordings import STEP_NS, layout, record, table
+from tests.scenario.refusals import check_refused
 
 pytest.importorskip("matplotlib")
 
@@ -103,23 +101,6 @@ def test_units_of_one_kind_share_an_axis_and_others_do_not(logs, out):
         plot_signals(logs[0], ["a.y,c.y[0]"], out)
 
 
-def test_several_logs_share_a_panel(logs, out):
-    """The axis says which signal it is, each curve from which log, by its folder if need be."""
-    plot_signals(logs, ["a.y", "c.y"], out)
-    expected = {"a.y [m]", "a.y (first)", "a.y (second)", "c.y [V]", "c.y[1] (second)"}
-    assert expected <= set(texts(out))
-    plot_signals([logs[0], logs[0]], ["a.y"], out)
-    assert texts(out).count(f"a.y ({logs[0].path})") == 2
-
-
-def test_many_panels_stand_side_by_side(logs, out):
-    """At most four in a column: a picture fits a screen; the lowest of each column has the time."""
-    plot_signals(logs[0], ["a.y"] * 5, out)
-    assert size_of(out) == (32.0, 3.0 + 3 * 6.0)
-    counts = [texts(out).count(text) for text in ("t [s]", "a.y [m]", "0.2")]
-    assert counts == [2, 5, 2 + 5]  # the number on both axes of time, and on all of values
-
-
 def test_a_window_a_size_and_a_title_are_as_asked_for(logs, out):
     """The curve is cut one row outside the window; sizes are in cm."""
     options = PictureOptions(size=(12.7, 7.62), start=0.253, stop=0.497, title="A & B")
@@ -131,27 +112,30 @@ def test_a_window_a_size_and_a_title_are_as_asked_for(logs, out):
         assert (curve.times[0], curve.times[-1]) == (0.25, 0.5)
 
 
-@pytest.mark.parametrize(
-    ("signals", "name", "options", "text"),
-    [
-        (["a.y"], "a.svg", {"size": (0.0, 5.0)}, "0 x 5 cm"),
-        (["a.y"], "a.svg", {"size": (5.0, float("nan"))}, "5 x nan cm"),
-        (["a.y"], "a.svg", {"start": 2.0, "stop": 1.0}, "stop: .* start = 2 s, got 1 s"),
-        (["a.y"], "a.svg", {"stop": float("inf")}, "stop: .* inf s"),
-        (["a.y"], "a.svg", {"start": 2.0}, r"start, stop: .*0 s to 1 s"),
-        (["a.y"], "a.svg", {"stop": -1.0}, r"start, stop: .*0 s to 1 s"),
-        (["a.y"], "first.mcap/a.png", {}, "cannot be written"),
-        (["a.y"], "a.doc", {}, r"'\.doc'"),
-        ([], "a.svg", {}, "signals"),
-        ([3], "a.svg", {}, "3"),
-        (["a"], "a.svg", {}, "'a'"),
-        ("a.y", "a.svg", {}, "got 'a'"),
-    ],
-)
-def test_a_picture_of_nothing_or_to_nowhere_is_refused(logs, signals, name, options, text):
+NOTHING = [
+    ((["a.y"], "a.svg", {"size": (0.0, 5.0)}), "0 x 5 cm"),
+    ((["a.y"], "a.svg", {"size": (5.0, float("nan"))}), "5 x nan cm"),
+    ((["a.y"], "a.svg", {"start": 2.0, "stop": 1.0}), "stop: .* start = 2 s, got 1 s"),
+    ((["a.y"], "a.svg", {"stop": float("inf")}), "stop: .* inf s"),
+    ((["a.y"], "a.svg", {"start": 2.0}), r"start, stop: .*0 s to 1 s"),
+    ((["a.y"], "a.svg", {"stop": -1.0}), r"start, stop: .*0 s to 1 s"),
+    ((["a.y"], "first.mcap/a.png", {}), "cannot be written"),
+    ((["a.y"], "a.doc", {}), r"'\.doc'"),
+    (([], "a.svg", {}), "signals"),
+    (([3], "a.svg", {}), "3"),
+    ((["a"], "a.svg", {}), "'a'"),
+    (("a.y", "a.svg", {}), "got 'a'"),
+]
+
+
+def test_a_picture_of_nothing_or_to_nowhere_is_refused(logs):
     """Signals, files, sizes and windows: an empty picture says nothing."""
-    with pytest.raises(UsageError, match=text):
+
+    def draw(case):
+        signals, name, options = case
         plot_signals(logs[0], signals, logs[0].path.parent / name, PictureOptions(**options))
+
+    check_refused(NOTHING, draw)
 
 
 @pytest.mark.parametrize("values", [[np.nan, np.inf, -np.inf], [5e-324, -5e-324], [1e308, -1e308]])
@@ -211,35 +195,6 @@ def test_the_standard_picture_shows_estimates_truth_and_errors(out):
         assert np.array_equal(curve.values, values - true, equal_nan=True)
     truth = [(one.values.tolist(), len(one.times)) for one in truth_curves(run, "identifier.theta")]
     assert truth == [([-0.1], 0), ([-0.3], 0)]  # which are drawn over the whole axis
-
-
-@pytest.mark.slow
-def test_a_run_without_truth_has_a_picture_of_its_outputs(logs, tmp_path, out):
-    """A panel for each; where there are many, the title says how many are shown.
-
-    The lag's output is its state, and shown, as it has no other.
-    """
-    plot_run(logs[0], out)
-    assert {"a.y [m]", "b.y [mm]", "c.y[0]", "e.y", "lengths"} <= set(texts(out))
-    many = tmp_path / "many.toml"
-    lines = [f'c{i} = {{ kind = "constant", value = 1.0 }}' for i in range(60)]
-    many.write_text(SCENARIO.partition("a =")[0] + "\n".join(lines))
-    run = cosim.run(many)
-    plot_run(run, out)
-    assert "lengths: the first 12 of 60 outputs" in texts(out)
-    plot_signals(run, [",".join(f"c{i}.y" for i in range(60))], out)  # whose legend would not fit
-    assert {"the first 24 of 60", "c23.y"} <= set(texts(out))
-    assert "c24.y" not in texts(out)
-
-
-def test_a_method_far_beyond_most_does_not_hide_the_others():
-    """It leaves the panel; curves of one size, one alone and one without a value all stay."""
-    t = np.linspace(0.0, 1.0, 50)
-    curves = []
-    for size in (1.0, 2.0, 0.5, 1e3, np.nan):
-        curves.append(Curve("theta", Unit(None), t, size * np.sin(9.0 * t)))
-    assert list(map(id, near_most(curves[:4]))) == list(map(id, curves[:3]))
-    assert len(near_most(curves[3:4])) == len(near_most(curves[4:])) == 1
 
 
 # --- differences ---
@@ -309,48 +264,3 @@ def test_a_number_beside_none_is_drawn_where_it_is(rows, draw):
 
 
 # --- texts that fit ---
-
-
-@pytest.mark.parametrize(
-    ("text", "count", "lines"),
-    [
-        ("over plant.mass and rate", 40, ["over plant.mass and rate"]),
-        ("over plant.mass and rate", 16, ["over plant.mass", "and rate"]),
-        ("plant.filter_rate [rad/s]", 14, ["plant.filter_", "rate [rad/s]"]),
-        ("a.very_long_name", 6, ["a.", "very_", "long_", "name"]),
-        ("abcdefghij", 4, ["abcd", "efgh", "ij"]),
-        ("one\ntwo words", 4, ["one", "two", "word", "s"]),
-        ("ends  ", 4, ["ends"]),
-        ("", 4, [""]),
-    ],
-)
-def test_a_text_is_broken_after_blanks_and_names_after_their_parts(text, count, lines):
-    """No line is longer, and nothing is lost but blanks."""
-    assert broken(text, count).split("\n") == lines
-
-
-@pytest.mark.parametrize(
-    ("scale", "low", "high", "fewest"),
-    [
-        ("log", 0.011, 0.08, 3),  # 3e-2 and 4e-2 would be on each other
-        ("log", 0.5, 5e4, 5),
-        ("linear", 1.7e9 + 0.01, 1.7e9 + 0.02, 2),
-    ],
-)
-def test_numbers_at_axes_are_whole_and_apart(out, scale, low, high, fewest):
-    """None runs into another; but for time none is to be added to another beside the axis."""
-    picture = Picture(1, PictureOptions(size=(14.0, 9.0)), shares_time=False)
-    panel = picture.panels[0]
-    values = np.linspace(low, high, 20)
-    draw = panel.loglog if scale == "log" else panel.plot
-    draw(values, values)
-    panel.set_ylabel("a name that is far too long for the height of the picture that it stands at")
-    picture.save(out)
-    panel.figure.draw_without_rendering()  # at its own resolution again
-    assert panel.yaxis.label.get_window_extent().height <= panel.figure.bbox.height
-    assert "+" not in panel.yaxis.get_offset_text().get_text()
-    for axis in (panel.xaxis, panel.yaxis):
-        shown = [*axis.get_majorticklabels(), *axis.get_minorticklabels()]
-        seen = [label.get_window_extent() for label in shown if label.get_text()]
-        assert len(seen) >= fewest
-        assert not [pair for pair in combinations(seen, 2) if pair[0].overlaps(pair[1])]

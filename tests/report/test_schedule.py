@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.report.plots.picture import Picture
-from cosim.report.schedule import plot_schedule, schedule_of
+from cosim.report.schedule import schedule_of
 from tests.scenario import certified
 from tests.scenario.certified import write
 
@@ -46,14 +45,6 @@ def test_newton_solves_for_the_inputs_of_its_loop(tmp_path):
     loop = loop_of(schedule)
     assert (loop.coupling, loop.solved, loop.is_first_order) == ("newton", ("mass.u",), False)
     assert "solved" in courses(schedule).values()
-
-
-def test_rates_and_feedthrough_are_those_of_the_interfaces():
-    components = {entry.name: entry for entry in schedule_of("academic").components}
-    assert components["identifier"].period == 0.1
-    assert components["plant"].period is None
-    assert components["plant"].feedthrough == {"y": ("u",), "x_a": (), "x_b": ("u",)}
-    assert components["u"].stage < components["plant"].stage < components["observer"].stage
 
 
 SAMPLED = """
@@ -115,57 +106,6 @@ def test_a_sampled_input_is_held_from_the_offset_on(sampled):
     assert recorded["own.x"][-1] == pytest.approx(-np.expm1(-0.6) * np.sin(0.2), abs=1e-15)
 
 
-def test_text_and_picture_show_period_and_offset(sampled, tmp_path, call):
-    pytest.importorskip("matplotlib")
-    out = tmp_path / "graph.svg"
-    lines = call("info", sampled(OFFSET), "--graph", "--out", out)[1].splitlines()
-    assert "own\t2\tcontroller\tevery 0.6 s, first 0.2 s after the start\tnone" in lines
-    assert "sine.y\town.u\tzero-order hold of its samples" in lines
-    assert lines[-1] == str(out)
-    assert "every 0.6 s + 0.2 s" in out.read_text()
-    assert "every 0.2 s<" in out.read_text()
-
-
-SUBSTEPS = """
-scenario = { name = "x", stop = 1.0, step = 0.1, substeps = { min = 1e-3 } }
-[components]
-plant = { kind = "lag", time_constant = 1.0 }
-"""
-LAGS = f"""{SUBSTEPS}
-two = {{ kind = "lag", time_constant = 2.0 }}
-[connections]
-"plant.u" = "two.y"
-"two.u" = "plant.y"
-"""
-CONTROL = f"""{SUBSTEPS}
-control = {{ kind = "pid", gain = 2.0, period = 0.2 }}
-force = {{ kind = "sum", signs = [1, -1] }}
-[connections]
-"control.setpoint" = "plant.y"
-"control.measurement" = "plant.y"
-"force.u1" = "control.y"
-"force.u2" = "plant.y"
-"plant.u" = "force.y"
-"""
-
-
-def test_what_takes_substeps_is_named(tmp_path, call):
-    """Of FMUs by their descriptions; not a sampled controller, but the loop inside its own."""
-    path = tmp_path / "x.toml"
-
-    def third_line(text):
-        path.write_text(text, encoding="utf-8")
-        return call("info", path, "--graph")[1].splitlines()[2]
-
-    path.write_text(LAGS, encoding="utf-8")
-    call("export", path, "--component", "plant", "--out", "plant.fmu")
-    for own in ("me", "cs"):
-        fmu = f'kind = "fmu", path = "plant.fmu", interface_type = "{own}"'
-        line = third_line(LAGS.replace('kind = "lag", time_constant = 1.0', fmu))
-        assert line.endswith("; in substeps of at least 0.001 s")
-    assert third_line(CONTROL).endswith("; force, plant in substeps of at least 0.001 s")
-
-
 def test_text_shows_stages_components_and_connections(call):
     first, *lines = call("info", "closed-loop", "--graph")[1].splitlines()
     assert first == "closed-loop: stages in order, communication step 0.001 s"
@@ -186,32 +126,3 @@ def test_ports_that_user_code_defines_are_not_asked_for(tmp_path, call):
     code, out, err = call("info", write(tmp_path, certified.ECHO), "--graph")
     assert (code, out) == (2, "")
     assert re.search("the ports of echo are defined by user code", err)
-
-
-def test_components_stand_on_the_diagonal_and_arrows_do_not_touch(tmp_path, monkeypatch):
-    """What leads on leaves to the right and comes from above; what leads back, left and below."""
-    Annotation = pytest.importorskip("matplotlib.text").Annotation
-    panels = []
-    monkeypatch.setattr(Picture, "save", lambda picture, out, title: panels.extend(picture.panels))
-    schedule = schedule_of("closed-loop")
-    plot_schedule(schedule, tmp_path / "a.png")
-    (panel,) = panels
-    names = [text.get_text() for text in panel.texts if text.get_fontweight() == "bold"]
-    assert [name.split()[-1] for name in names] == [one.name for one in schedule.components]
-    order = {one.name: place for place, one in enumerate(schedule.components)}
-    arrows = [(text.xyann, text.xy) for text in panel.texts if isinstance(text, Annotation)]
-    ends = [end for arrow in arrows for end in arrow]
-    assert len(set(ends)) == len(ends)
-    found = set()
-    for (x, y), (to_x, to_y) in arrows:
-        source, target = round(y), round(to_x)
-        found.add((source, target))
-        sides = (0.39, -0.36) if source < target else (-0.39, 0.36)
-        assert (x - source, to_y - target) == pytest.approx(sides)
-    expected = [(c.source.split(".")[0], c.to.split(".")[0]) for c in schedule.connections]
-    assert found == {(order[source], order[to]) for source, to in expected}
-    loop = loop_of(schedule)
-    assert "loop: gauss-seidel, first order" in {text.get_text() for text in panel.texts}
-    frame = max(panel.patches, key=lambda patch: patch.get_width())
-    ends = (order[loop.members[0]] - 0.48, order[loop.members[-1]] + 0.48)
-    assert (frame.get_x(), frame.get_x() + frame.get_width()) == pytest.approx(ends)

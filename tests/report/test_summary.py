@@ -4,7 +4,6 @@ import json
 import re
 from html import unescape
 
-import numpy as np
 import pytest
 
 import cosim
@@ -124,24 +123,16 @@ def test_a_damaged_record_is_one_error_and_all_else_is_read(
     results = change if record == "results" else None
     damaged = forged(valid.path, tmp_path / "a.mcap", metadata=said, results=results)
     log = cosim.open_log(damaged)
-    with pytest.raises(LogError) as error:
+    with pytest.raises(LogError, match=r"expected|available") as error:
         cosim.certificate(log) if key == "certificate" else log.summary()
     message = str(error.value)
     assert message in unescape(log._repr_html_())
     for text in (str(damaged), *named):
         assert text in message
-    assert "expected" in message or "available" in message
-    for signal in valid:
-        np.testing.assert_array_equal(log[signal], valid[signal])
+    assert cosim.diff(log, valid).equal
     code, output, err = call("info", damaged, "--json")
-    shown = json.loads(output)
-    whole = json.loads(call("info", valid.path, "--json")[1])
-    assert shown.get("problems", [message]) == [message]
-    assert (code, message in err) == ((2, True) if "problems" in shown else (0, False))
-    assert shown["signals"] == whole["signals"]
-    for content in (shown, whole):
-        content["metadata"].pop(record, None)
-    assert shown["metadata"] == whole["metadata"]
+    problems = json.loads(output).get("problems", [])
+    assert (code, problems, message in err) in ((2, [message], True), (0, [], False))
 
 
 def test_a_record_of_a_newer_version_says_so(valid, tmp_path):

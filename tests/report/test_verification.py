@@ -112,22 +112,6 @@ def test_a_forged_hash_is_not_found_where_nothing_is_computed(valid, tmp_path):
     assert "first: observer.y" in verification.problems[0]
 
 
-def test_the_command_line_says_what_was_proven(valid, tmp_path, call):
-    """Exit 0 with the signals computed and copied; exit 1 with both hashes."""
-    code, out, _ = call("replay", valid, "--verify", "--json")
-    shown = json.loads(out)
-    log = open_log(valid)
-    own = log.recorded_hash
-    assert code == 0
-    assert shown["content_hash"] == {"recorded": own, "found": own, "equal": True}
-    assert shown["copied"] == list(COPIED)
-    assert sorted(shown["computed"] + shown["copied"]) == sorted(log.signals)
-    path = scaled(valid, tmp_path / "b.mcap", slice(3, 5), 2.0)
-    code, out, err = call("replay", path, "--verify")
-    assert (code, out) == (1, "")
-    assert f"content hash {open_log(path).content_hash()}, recorded {own}" in err
-
-
 def test_one_flipped_bit_is_shown_with_all_that_belongs_to_it(valid, tmp_path, call):
     """One bit of one value: its signal, its time, both values to the last digit, and one bit."""
     content = take_apart(valid)
@@ -147,18 +131,9 @@ def test_one_flipped_bit_is_shown_with_all_that_belongs_to_it(valid, tmp_path, c
     values = f"log {wrong!r}, replay {right!r}; 1 of the 64 bits"
     assert f"first: observer.x_a[1] at t = 0.02 s: {values}" in shown
     assert f"numpy was 0.1.2, is {np.__version__}\n" in shown
-    assert "then" not in shown
-    found = json.loads(call("replay", path, "--verify", "--json")[1])
-    first = found["first"]
-    assert (first["signal"], first["time_ns"]) == ("observer.x_a[1]", 20_000_000)
-    assert (first["a"], first["b"], first["differing_bits"]) == (wrong, right, 1)
-    patterns = [int(text, 16) for text in first["bits"]]
-    assert patterns == np.array([wrong, right]).view(np.uint64).tolist()
-    assert found["environment"] == {"numpy": {"recorded": "0.1.2", "present": np.__version__}}
-    statuses = {entry["component"]: entry["status"] for entry in found["components"]}
+    statuses = {entry.component: entry.status for entry in verified(path).components}
     assert (statuses.pop("observer"), statuses.pop("plant")) == ("differs", "copied")
     assert set(statuses.values()) == {"equal"}
-    assert list(found["components"][0]) == ["component", "status", "first", "reason"]
 
 
 def test_every_component_that_differs_is_shown_with_its_first_difference(valid):
@@ -194,19 +169,19 @@ def test_differing_bits_are_counted(a, b, bits, texts):
 SINE = 'kind = "sine"\namplitude = 1.0\nrate = 1.0'
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "statement"),
-    [
-        ("= [-0.1, -0.3]", "= [-0.1003, -0.2981]", "truth.truth"),
-        ("stop = 0.05", "stop = 0.06", "times.stop"),
-        ("stop = 0.05", "stop = 1e9", "times.stop"),
-        ("stop = 0.05", "", "times.stop"),
-        (SINE, 'kind = "fmu"\npath = "x"', "component tables.u.table"),
-        ("[connections]", '[swap]\nu = "x.fmu"\n[connections]', "component tables.u.table"),
-        ('name = "academic"', 'name = "other"', "times.scenario"),
-        ('"observer.u" = "u.y"', '"observer.u" = "delta.y"', "connections.observer.u"),
-    ],
-)
+OTHERS = [
+    ("= [-0.1, -0.3]", "= [-0.1003, -0.2981]", "truth.truth"),
+    ("stop = 0.05", "stop = 0.06", "times.stop"),
+    ("stop = 0.05", "stop = 1e9", "times.stop"),
+    ("stop = 0.05", "", "times.stop"),
+    (SINE, 'kind = "fmu"\npath = "x"', "component tables.u.table"),
+    ("[connections]", '[swap]\nu = "x.fmu"\n[connections]', "component tables.u.table"),
+    ('name = "academic"', 'name = "other"', "times.scenario"),
+    ('"observer.u" = "u.y"', '"observer.u" = "delta.y"', "connections.observer.u"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "statement"), OTHERS)
 def test_another_scenario_is_found(valid, tmp_path, old, new, statement):
     """A replay runs the text; reports show the metadata: the two must be of one scenario."""
     verification = verified(forged(valid, tmp_path / "b.mcap", text=(old, new)))
@@ -350,20 +325,6 @@ def test_a_partial_replay_vouches_only_for_what_it_computes(tmp_path):
     assert verification.passed
     assert not {"verdicts", "truth"} & set(verification.statements.split(", "))
     assert verification.statements.endswith("u, delta")
-
-
-def test_of_many_contradictions_the_first_are_shown(valid, tmp_path):
-    """Every value of the last row may be wrong; all of them stand in the JSON."""
-
-    def change(results):
-        results["last"] = dict.fromkeys(results["last"], 0.25)
-
-    verification = verified(forged(valid, tmp_path / "b.mcap", results=change))
-    count = len(verification.contradictions)
-    assert count > 9
-    assert len(verification.problems) == 9
-    assert f"{count - 8} more" in verification.problems[-1]
-    assert len(verification.to_dict()["contradictions"]) == count
 
 
 def test_an_end_before_the_stop_needs_a_reason(valid, tmp_path):

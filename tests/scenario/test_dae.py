@@ -1,11 +1,11 @@
-"""The descriptor plant as a DAE FMU in its scenario: both forms, and the command that writes it."""
+"""The descriptor plant as a DAE FMU in its scenario: both forms."""
 
 import numpy as np
 import pytest
 
 import cosim
-from cosim.cli import main
 from cosim.errors import CosimError
+from cosim.scenario.exporting import export_component
 
 pytestmark = pytest.mark.usefixtures("without_verdicts")
 
@@ -13,21 +13,7 @@ pytestmark = pytest.mark.usefixtures("without_verdicts")
 @pytest.fixture(scope="module")
 def plant(tmp_path_factory):
     path = tmp_path_factory.mktemp("dae") / "plant.fmu"
-    with pytest.raises(SystemExit) as stopped:
-        main(
-            [
-                "export",
-                "academic",
-                "--component",
-                "plant",
-                "--fmi",
-                "3",
-                "--dae",
-                "--out",
-                str(path),
-            ]
-        )
-    assert not stopped.value.code
+    export_component("academic", "plant", path, fmi="3", dae=True)
     return path
 
 
@@ -54,53 +40,26 @@ def test_both_forms_give_the_plant_and_its_parameters(plant):
 
 
 @pytest.mark.slow
-def test_its_ordinary_form_is_the_ordinary_export(plant, tmp_path):
+@pytest.mark.parametrize("interface_type", ["me", "cs"])
+def test_its_ordinary_form_is_the_ordinary_export(plant, tmp_path, interface_type):
     """Bit for bit: the same C steps both, and the residual is beside it."""
-    ordinary = tmp_path / "ordinary.fmu"
-    with pytest.raises(SystemExit):
-        main(["export", "academic", "--component", "plant", "--fmi", "3", "--out", str(ordinary)])
-    for interface_type in ("me", "cs"):
-        one, other = (
-            cosim.run(
-                "academic",
-                swap={"plant": path},
-                set={"scenario.stop": 1.0, "plant.interface_type": interface_type},
-            )
-            for path in (plant, ordinary)
+    export_component("academic", "plant", tmp_path / "ordinary.fmu", fmi="3")
+    runs = [
+        cosim.run(
+            "academic", swap={"plant": f"{path}#{interface_type}"}, set={"scenario.stop": 1.0}
         )
-        for signal in ("y", "x_a", "x_b"):
-            assert np.array_equal(one[f"plant.{signal}"], other[f"plant.{signal}"])
+        for path in (plant, tmp_path / "ordinary.fmu")
+    ]
+    assert cosim.diff(*runs).equal
 
 
 @pytest.mark.parametrize(
     ("component", "fmi", "message"),
-    [
-        ("plant", "2", "FMI 2.0 has no residual form"),
-        (
-            "observer",
-            "3",
-            "'observer' is of kind 'unknown-input-observer', which has no algebraic equations",
-        ),
-    ],
+    [("plant", "2", "FMI 2.0 has no residual form"), ("observer", "3", "'observer' is of kind")],
 )
-def test_dae_is_for_descriptor_plants_and_fmi_3(component, fmi, message, tmp_path, capsys):
-    """One message, exit 2."""
-    with pytest.raises(SystemExit) as stopped:
-        main(
-            [
-                "export",
-                "academic",
-                "--component",
-                component,
-                "--fmi",
-                fmi,
-                "--dae",
-                "--out",
-                str(tmp_path / "x.fmu"),
-            ]
-        )
-    assert stopped.value.code
-    assert message in capsys.readouterr().err
+def test_dae_is_for_descriptor_plants_and_fmi_3(component, fmi, message, tmp_path):
+    with pytest.raises(CosimError, match=message):
+        export_component("academic", component, tmp_path / "x.fmu", fmi=fmi, dae=True)
 
 
 def test_a_form_that_there_is_not_is_refused():

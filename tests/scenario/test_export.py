@@ -1,24 +1,23 @@
 """The components of the shipped scenarios as FMUs: the same numbers, by us and by fmpy."""
 
-import zipfile
+from ctypes import c_double, c_uint32
 
 import fmpy
 import numpy as np
 import pytest
+from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
 
 import cosim
-from cosim.cli import main
 from cosim.core.contracts import prepare
 from cosim.core.linear import Linear
-from cosim.errors import CosimError, UsageError
+from cosim.errors import CosimError
 from cosim.fmi.component import ModelExchange, load
 from cosim.fmi.generated import GeneratedInstance
 from cosim.fmi.options import FmuOptions
 from cosim.fmi.reading.model_description import read
 from cosim.scenario.document.document import find
 from cosim.scenario.exporting import export_component
-from cosim.scenario.kinds.base import BuildContext
 from tests.scenario.exported import (
     ACADEMIC,
     COMPONENTS,
@@ -30,6 +29,7 @@ from tests.scenario.exported import (
     drive,
     export,
 )
+from tests.scenario.refusals import check_refused
 
 FMI = pytest.mark.parametrize("fmi", ["2", "3"])
 LINEAR = pytest.mark.parametrize(
@@ -65,16 +65,6 @@ def test_fmpy_finds_no_problems(key, name, fmi, folder):
     assert (description.modelExchange is None) == (
         name in ("regressor", "identifier") or key in ("sampled", "step")
     )
-
-
-@pytest.mark.slow
-@FMI
-@pytest.mark.parametrize("name", ["observer", "regressor"])
-def test_our_own_check_finds_no_problems(name, fmi, folder):
-    """Schema, structure, binaries, trial runs and rollbacks; NaN for no value yet is no problem."""
-    with pytest.raises(SystemExit) as stopped:
-        main(["check", str(export("academic", name, fmi, folder))])
-    assert not stopped.value.code
 
 
 @pytest.mark.fast("academic-plant-3")
@@ -194,54 +184,14 @@ def test_model_exchange_by_fmpy_alone_gives_what_the_component_gives(key, name, 
 
 
 @pytest.mark.slow
-@FMI
-@pytest.mark.parametrize("interface_type", ["me", "cs"])
-def test_derivatives_are_the_matrices(interface_type, fmi, folder):
-    """Of the observer, whose C and D are full: directional ones by columns."""
-    original = case("academic", "observer")
-    with load(
-        export("academic", "observer", fmi, folder), FmuOptions(interface_type=interface_type)
-    ) as fmu:
-        component = fmu.component
-        instance = fmu._instance
-        prepare(component, H, original.held, {})
-        component.initialize(0.0, original.u[0])
-        in_initialization = jacobian(instance, "input")
-        component.outputs(0.0, original.u[0])
-        model = original.model
-        assert np.allclose(
-            in_initialization,
-            model.D + model.C @ model.Xu,
-            rtol=1e-14,
-            atol=1e-14 * abs(model.C).max(),
-        )
-        assert np.array_equal(jacobian(instance, "input"), model.D)
-
-
-def jacobian(instance, causality):
-    knowns = instance.description.references(causality)
-    unknowns = instance.description.references("output")
-    columns = []
-    for seed in np.eye(knowns.size):
-        columns.append(instance.get_directional_derivative(unknowns, knowns, seed))
-    return np.column_stack(columns)
-
-
-@pytest.mark.slow
 def test_adjoint_derivatives_are_the_transposed_matrices(folder):
     """Through fmpy's binding of FMI 3, as ours needs none."""
     original = case("academic", "observer")
     path = export("academic", "observer", "3", folder)
-    with zipfile.ZipFile(path) as archive:
-        archive.extractall(folder / "observer3")
-    from ctypes import c_double, c_uint32
-
-    from fmpy.fmi3 import FMU3Slave
-
     description = fmpy.read_model_description(str(path))
     fmu = FMU3Slave(
         guid=description.guid,
-        unzipDirectory=str(folder / "observer3"),
+        unzipDirectory=fmpy.extract(str(path), str(folder / "observer3")),
         modelIdentifier=description.coSimulation.modelIdentifier,
         instanceName="one",
     )
@@ -250,20 +200,11 @@ def test_adjoint_derivatives_are_the_transposed_matrices(folder):
     fmu.exitInitializationMode()
     outputs = [v.valueReference for v in description.modelVariables if v.causality == "output"]
     n_y, n_u = original.model.D.shape
+    knowns = (c_uint32 * len(outputs))(*outputs), len(outputs), (c_uint32 * n_u)(*range(n_u)), n_u
     rows = []
     for seed in np.eye(n_y):
         row = (c_double * n_u)()
-        fmu.fmi3GetAdjointDerivative(
-            fmu.component,
-            (c_uint32 * len(outputs))(*outputs),
-            len(outputs),
-            (c_uint32 * n_u)(*range(n_u)),
-            n_u,
-            (c_double * n_y)(*seed),
-            n_y,
-            row,
-            n_u,
-        )
+        fmu.fmi3GetAdjointDerivative(fmu.component, *knowns, (c_double * n_y)(*seed), n_y, row, n_u)
         rows.append(list(row))
     fmu.terminate()
     fmu.freeInstance()
@@ -310,61 +251,44 @@ def test_a_fixed_step_is_kept(folder):
             fmu.component.advance(np.array([0.0, 0.002]), 0.002, original.u[:2])
 
 
-def test_an_impossible_export_is_refused(tmp_path, monkeypatch, capsys):
+def test_an_impossible_export_is_refused(tmp_path):
     """Signal sources, and versions and platforms that are none: the message names what exists."""
-    monkeypatch.chdir(tmp_path)
+    cases = [
+        (
+            {"component": "u"},
+            "'u' is of kind 'sine', .* available: sum, gain",
+        ),
+        ({"fmi": "1"}, "FMI version '1'"),
+        (
+            {"platforms": ["x86_64-lnux"]},
+            "'x86_64-lnux'; did you mean 'x86_64-linux'",
+        ),
+        ({"platforms": 2 * ["x86_64-linux"]}, "platform 'x86_64-linux' is given twice"),
+    ]
 
-    def refused(*arguments):
-        with pytest.raises(SystemExit) as stopped:
-            main(["export", "academic", "--out", "x.fmu", *arguments])
-        assert stopped.value.code == 2
-        return capsys.readouterr().err
+    def act(options):
+        name = options.get("component", "plant")
+        others = {key: value for key, value in options.items() if key != "component"}
+        export_component("academic", name, tmp_path / "x.fmu", **others)
 
-    assert "'u' is of kind 'sine', which cannot be exported; available: sum, gain" in refused(
-        "--component", "u"
-    )
-    assert "FMI version '1'" in refused("--component", "plant", "--fmi", "1")
-    message = refused("--component", "plant", "--platform", "x86_64-lnux")
-    assert "platform 'x86_64-lnux'; did you mean 'x86_64-linux'? Available: x86_64-li" in message
-    twice = refused("--component", "plant", "--platform", "x86_64-linux, x86_64-linux")
-    assert "platform 'x86_64-linux' is given twice" in twice
+    check_refused(cases, act, CosimError)
+    long = cosim.load("academic").set({"scenario.name": 33 * "温"})
+    with pytest.raises(CosimError, match=r"expected at most .* characters"):
+        export_component(long, "plant", tmp_path / "x.fmu")
     assert list(tmp_path.iterdir()) == []
 
 
 PARTS = """
-[scenario]
-name = "small-parts"
-stop = 0.5
-step = 1e-3
-[components.wave]
-kind = "expression"
-y = ["sin(7*t)", "cos(9*t) + 0.3"]
-[components.lag]
-kind = "lag"
-time_constant = 0.05
-size = 2
-unit = "N"
-[components.late]
-kind = "delay"
-delay = 0.02
-size = 2
-[components.early]
-kind = "delay"
-delay = 0.001
-initial = -2.0
-size = 2
-[components.limit]
-kind = "limit"
-lower = -0.5
-upper = 0.75
-size = 2
-[components.gain]
-kind = "gain"
-K = [[1.0, 2.0], [0.5, -1.0], [0.0, 3.0]]
-[components.sum]
-kind = "sum"
-signs = [1.0, -0.1]
-size = 2
+scenario = { name = "small-parts", stop = 0.5, step = 1e-3 }
+[components]
+wave = { kind = "expression", y = ["sin(7*t)", "cos(9*t) + 0.3"]DISCRETE }
+lag = { kind = "lag", time_constant = 0.05, size = 2, unit = "N" }
+late = { kind = "delay", delay = 0.02, size = 2 }
+early = { kind = "delay", delay = 0.001, initial = -2.0, size = 2 }
+limit = { kind = "limit", lower = -0.5, upper = 0.75, size = 2 }
+gain = { kind = "gain", K = [[1.0, 2.0], [0.5, -1.0], [0.0, 3.0]] }
+sum = { kind = "sum", signs = [1.0, -0.1], size = 2 }
+after = { kind = "lag", time_constant = 0.05, size = 3 }
 [connections]
 "lag.u" = "wave.y"
 "late.u" = "wave.y"
@@ -373,6 +297,7 @@ size = 2
 "gain.u" = "late.y"
 "sum.u1" = "wave.y"
 "sum.u2" = "limit.y"
+"after.u" = "gain.y"
 """
 
 
@@ -381,7 +306,7 @@ size = 2
 def test_small_parts_are_the_same_as_fmus(fmi, tmp_path):
     """Lag, delays, limit, gain and sum: a run with one as an FMU records what the run recorded."""
     scenario = tmp_path / "parts.toml"
-    scenario.write_text(PARTS, encoding="utf-8")
+    scenario.write_text(PARTS.replace("DISCRETE", ""))
     expected = cosim.run(scenario)
     for name in ("lag", "late", "early", "limit", "gain", "sum"):
         path = tmp_path / f"{name}.fmu"
@@ -392,15 +317,6 @@ def test_small_parts_are_the_same_as_fmus(fmi, tmp_path):
         assert relative(run[f"{name}.y"], expected[f"{name}.y"]) <= 1e-14, name
 
 
-HELD = PARTS.replace(
-    'y = ["sin(7*t)", "cos(9*t) + 0.3"]', 'y = ["sin(7*t)", "cos(9*t) + 0.3"]\ndiscrete = true'
-).replace(
-    "[connections]",
-    '[components.after]\nkind = "lag"\ntime_constant = 0.05\nsize = 3\n'
-    '[connections]\n"after.u" = "gain.y"',
-)
-
-
 @pytest.mark.slow
 def test_parts_that_inherit_discrete_variability_are_discrete(tmp_path):
     """The inputs that they drive must be held (zero-order hold).
@@ -409,19 +325,14 @@ def test_parts_that_inherit_discrete_variability_are_discrete(tmp_path):
     communication point, and outputs that they feed show that there, bit for bit.
     """
     scenario = tmp_path / "held.toml"
-    scenario.write_text(HELD, encoding="utf-8")
+    scenario.write_text(PARTS.replace("DISCRETE", ", discrete = true"))
     expected = cosim.run(scenario)
     for name in ("gain", "limit", "late"):
         export_component(str(scenario), name, tmp_path / f"{name}.fmu", fmi="3")
         description = read(tmp_path / f"{name}.fmu").description
         assert {description[port].variability for port in ("u", "y")} == {"discrete"}
-        settings = {f"{name}.interface_type": "cs"}
-        run = cosim.run(
-            scenario,
-            out=tmp_path / f"{name}.mcap",
-            swap={name: tmp_path / f"{name}.fmu"},
-            set=settings,
-        )
+        swap = {name: f"{tmp_path / name}.fmu#cs"}
+        run = cosim.run(scenario, swap=swap)
         assert np.array_equal(run[f"{name}.y"], expected[f"{name}.y"]), name
         assert np.array_equal(run["after.y"], expected["after.y"]), name
         assert not [m for m in run.messages() if "by up to one step" in m.text], name
@@ -442,32 +353,3 @@ def test_an_export_needs_no_files_of_unrelated_components(tmp_path):
     assert "FMI 2.0, model exchange and co-simulation" in lines[0]
     with pytest.raises(CosimError, match=r"missing\.fmu"):
         export_component(str(scenario), "identifier", tmp_path / "identifier.fmu")
-
-
-def test_nothing_is_built_that_a_component_does_not_rest_on(tmp_path, monkeypatch):
-    """The gain takes what the wave makes: an FMU beside both is not even opened."""
-    opened = []
-
-    def fmu(context, name, path, options):
-        opened.append(name)
-        raise UsageError("is not needed")
-
-    monkeypatch.setattr(BuildContext, "fmu", fmu)
-    scenario = tmp_path / "parts.toml"
-    beside = '[components.other]\nkind = "fmu"\npath = "other.fmu"\n[connections]\n'
-    text = PARTS.replace("[connections]\n", f'{beside}"other.u" = "gain.y"\n')
-    scenario.write_text(text, encoding="utf-8")
-    export_component(str(scenario), "gain", tmp_path / "gain.fmu", fmi="3")
-    assert opened == []
-
-
-@pytest.mark.slow
-def test_an_identifier_whose_signals_have_units_is_exported(tmp_path):
-    """With the unit that its input has from the observer."""
-    scenario = tmp_path / "academic.toml"
-    text = find("academic").text
-    table = "[components.observer]\n"
-    scenario.write_text(text.replace(table, f'{table}unit = {{ y = "V" }}\n', 1))
-    changes = {"scenario.stop": 1.0}
-    export_component(cosim.load(scenario).set(changes), "identifier", tmp_path / "identifier.fmu")
-    assert read(tmp_path / "identifier.fmu").description["y"].unit == "V"

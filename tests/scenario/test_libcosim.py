@@ -44,29 +44,26 @@ def fmus(tmp_path_factory):
     return paths
 
 
-class Run:
-    """An execution with its FMUs; libcosim keeps no reference to them."""
+def outputs_at_the_end(step, paths, starts, references, connection=None):
+    """Run FMUs in libcosim; return outputs of the last one. libcosim keeps no reference to them."""
+    from libcosimpy.CosimExecution import CosimExecution
+    from libcosimpy.CosimObserver import CosimObserver
+    from libcosimpy.CosimSlave import CosimLocalSlave
 
-    def __init__(self, step):
-        from libcosimpy.CosimExecution import CosimExecution
-        from libcosimpy.CosimObserver import CosimObserver
-
-        self.execution = CosimExecution.from_step_size(step_size=step * 1e9)
-        self.observer = CosimObserver.create_last_value()
-        self.execution.add_observer(self.observer)
-        self.kept = []
-
-    def add(self, path, values):
-        from libcosimpy.CosimSlave import CosimLocalSlave
-
-        self.kept.append(CosimLocalSlave(fmu_path=str(path), instance_name=path.stem))
-        at = self.execution.add_local_slave(self.kept[-1])
+    execution = CosimExecution.from_step_size(step_size=step * 1e9)
+    observer = CosimObserver.create_last_value()
+    execution.add_observer(observer)
+    kept = []
+    for path, values in zip(paths, starts, strict=True):
+        kept.append(CosimLocalSlave(fmu_path=str(path), instance_name=path.stem))
+        at = execution.add_local_slave(kept[-1])
         for reference, value in values.items():
-            assert self.execution.real_initial_value(at, reference, value)
-        return at
-
-    def end(self):
-        assert self.execution.simulate_until(round(STOP * 1e9))
+            assert execution.real_initial_value(at, reference, value)
+    if connection is not None:
+        output, input_ = connection
+        assert execution.connect_real_variables(at - 1, output, at, input_) == 0
+    assert execution.simulate_until(round(STOP * 1e9))
+    return observer.last_real_values(at, references)
 
 
 def solution(models):
@@ -91,10 +88,8 @@ def solution(models):
 
 def test_a_plant_with_constant_inputs_is_exact(models, fmus):
     """Held inputs are the inputs; rounding of 200 steps stays below 1e-12."""
-    run = Run(0.01)
-    at = run.add(fmus["plant"], dict(enumerate(INPUTS)))
-    run.end()
-    found = run.observer.last_real_values(at, [2 + k for k in PLANT])
+    references = [2 + k for k in PLANT]
+    found = outputs_at_the_end(0.01, [fmus["plant"]], [dict(enumerate(INPUTS))], references)
     assert abs(found - solution(models)[0]).max() < 1e-12
 
 
@@ -104,14 +99,10 @@ def test_a_plant_and_its_observer_are_first_order_in_the_step(models, fmus):
     Halving the step halves the error in x_a.
     """
     expected = solution(models)[1]
+    starts = [dict(enumerate(INPUTS)), {0: INPUTS[0]}]
     errors = []
     for step in (0.02, 0.01, 0.005):
-        run = Run(step)
-        plant = run.add(fmus["plant"], dict(enumerate(INPUTS)))
-        observer = run.add(fmus["observer"], {0: INPUTS[0]})
-        assert run.execution.connect_real_variables(plant, 2, observer, 1) == 0
-        run.end()
-        found = run.observer.last_real_values(observer, list(OBSERVER))
+        found = outputs_at_the_end(step, [*fmus.values()], starts, list(OBSERVER), (2, 1))
         errors.append(np.linalg.norm((found - expected)[:2]))
     assert errors[0] < 0.05
     assert 1.8 < errors[0] / errors[1] < 2.2

@@ -1,32 +1,24 @@
 """Runs are deterministic, independent of blocks, and replay bit for bit."""
 
-import json
 import os
-import re
 import warnings
 
 import numpy as np
 import pytest
 
 import cosim
-from cosim.errors import LogError, NonFiniteError, RunError, UsageError
+from cosim.errors import LogError, NonFiniteError, UsageError
 from cosim.log import McapRecorder, open_log
 from cosim.report.summary import summarize
 from cosim.scenario.document.document import shipped
 from cosim.scenario.exporting import export_component
 from cosim.scenario.record import ReplayOrigin, replay_origin
-from tests.fmi import eventful, lag
+from tests.fmi import lag
+from tests.scenario.refusals import check_refused
 from tests.scenario.signals import COARSE
 
-SHORT = {"scenario.stop": 7.0}  # past the start of the identification at 6.461 s
 HORIZONS = pytest.mark.parametrize(
-    "changes",
-    [
-        COARSE,
-        pytest.param(SHORT, marks=pytest.mark.slow),
-        pytest.param({}, marks=pytest.mark.campaign),
-    ],
-    ids=["coarse", "short", "whole"],
+    "changes", [COARSE, pytest.param({}, marks=pytest.mark.campaign)], ids=["coarse", "whole"]
 )
 
 
@@ -56,38 +48,26 @@ def recorded(tmp_path_factory):
 @pytest.mark.fast("academic-coarse", "pair-coarse")
 @HORIZONS
 @pytest.mark.parametrize("name", shipped())
-def test_blocks_do_not_change_a_bit(name, changes, tmp_path):
+def test_neither_blocks_nor_compiled_stages_change_a_bit(name, changes, tmp_path, monkeypatch):
     """One call of 1000 steps, 1000 calls of one step, and blocks of 7 give equal logs.
 
-    Every bit is equal, identification included.
+    So does a run whose stages call components from Python. Every bit is equal, identification
+    included.
     """
     changes = fitting(name, changes)
-    logs = [
-        cosim.run(name, out=tmp_path / f"{block}.mcap", block=block, set=changes)
-        for block in (1000, 1, 7)
-    ]
-    assert len({log.content_hash() for log in logs}) == 1
 
+    def content(block, kind):
+        out = tmp_path / f"{block}-{kind}.mcap"
+        return cosim.run(name, out=out, block=block, set=changes).content_hash()
 
-@pytest.mark.fast("academic-coarse", "pair-coarse")
-@HORIZONS
-@pytest.mark.parametrize("name", shipped())
-def test_compiled_stages_do_not_change_a_bit(name, changes, tmp_path, monkeypatch):
-    """A run in compiled code and one whose stages call components from Python give equal logs."""
-    changes = fitting(name, changes)
-    compiled = cosim.run(name, out=tmp_path / "compiled.mcap", set=changes)
+    hashes = {content(block, "compiled") for block in (1000, 1, 7)}
+    assert len(hashes) == 1
     monkeypatch.setattr("cosim.core.stages.engine.advancing_stages", lambda graph: graph.stages)
-    called = cosim.run(name, out=tmp_path / "called.mcap", set=changes)
-    assert compiled.content_hash() == called.content_hash()
+    assert {content(None, "called")} == hashes
 
 
 MIXED = """
-[scenario]
-name = "mixed"
-stop = 2.0
-step = 0.01
-coupling = "{coupling}"
-
+scenario = {{ name = "mixed", stop = 2.0, step = 0.01, coupling = "{coupling}" }}
 [components]
 reference = {{ kind = "step", time = 0.5 }}
 noise = {{ kind = "noise", deviation = 0.01, seed = 7 }}
@@ -140,23 +120,6 @@ def test_replay_is_bit_exact(logged):
     assert {row.status for row in difference.rows} == {"equal"}
 
 
-def test_replay_needs_nothing_but_the_log(tmp_path, monkeypatch):
-    """A scenario with a table from a file replays where the file is gone."""
-    (tmp_path / "u.csv").write_text("t,u\n0,0\n1,1\n")
-    scenario = tmp_path / "mine.toml"
-    scenario.write_text(
-        '[scenario]\nname = "mine"\nstop = 1.0\nstep = 0.01\n[components.u]\nkind = '
-        '"table"\nfile = "u.csv"\n'
-        '[components.y]\nkind = "lag"\ntime_constant = 0.3\ninitial = 0.0\n[connections]\n"y.u" '
-        '= "u.y"\n'
-    )
-    log = cosim.run(scenario, out=tmp_path / "mine.mcap")
-    (tmp_path / "u.csv").unlink()
-    scenario.unlink()
-    monkeypatch.chdir(tmp_path)
-    assert cosim.diff(log, cosim.replay("mine.mcap")).equal
-
-
 @pytest.mark.usefixtures("without_verdicts")
 def test_replay_with_other_parameters_changes_what_depends_on_them(logged):
     """Another filter changes the reconstruction and what follows it, not the recorded plant."""
@@ -180,16 +143,14 @@ def test_replay_with_other_parameters_changes_what_depends_on_them(logged):
 
 
 @pytest.mark.usefixtures("without_verdicts")
-def test_a_replay_keeps_grid_end_and_plant_of_its_recording(recorded, subtests):
+def test_a_replay_keeps_grid_end_and_plant_of_its_recording(recorded):
     """Recorded rows exist at the recorded instants only, whatever parameters the plant had."""
-    for key, value, text in [
-        ("scenario.step", 5e-4, r"scenario\.step: expected the recorded 0\.01 s, got 0\.0005 s"),
-        ("scenario.stop", 9.0, r"scenario\.stop'\]: expected .* 7\.0 s .*, got 9\.0 s"),
-        ("plant.x_a0", [5.0, 5.0], "'plant' is taken from the recording; run the scenario to"),
-        ("components.plant.x_a0", [5.0, 5.0], "'plant' is taken from the recording"),
-    ]:
-        with subtests.test(key=key), pytest.raises(UsageError, match=text):
-            cosim.replay(recorded, set={key: value})
+    cases = [
+        ({"scenario.step": 5e-4}, r"scenario\.step: expected the recorded 0\.01 s, got 0\.0005 s"),
+        ({"scenario.stop": 9.0}, r"scenario\.stop'\]: expected .* 7\.0 s .*, got 9\.0 s"),
+        ({"plant.x_a0": [5.0, 5.0]}, "'plant' is taken from the recording; run the scenario to"),
+    ]
+    check_refused(cases, lambda changes: cosim.replay(recorded, set=changes))
 
 
 def test_a_run_that_failed_replays_up_to_its_end(tmp_path):
@@ -235,19 +196,6 @@ def test_a_log_of_something_else_is_refused(tmp_path):
 
 
 @pytest.mark.usefixtures("without_verdicts")
-def test_an_existing_log_needs_force(tmp_path):
-    """Nothing recorded is overwritten by accident."""
-    path = tmp_path / "a.mcap"
-    cosim.run("academic", out=path, set={"scenario.stop": 0.1})
-    with pytest.raises(LogError, match="force=True"):
-        cosim.run("academic", out=path, set={"scenario.stop": 0.1})
-    assert (
-        cosim.run("academic", out=path, set={"scenario.stop": 0.2}, force=True).time("plant")[-1]
-        == 0.2
-    )
-
-
-@pytest.mark.usefixtures("without_verdicts")
 def test_numbered_logs_count_up(tmp_path):
     """A name is free where nothing stands: no file, no folder, no link that leads nowhere."""
 
@@ -268,29 +216,18 @@ def test_numbered_logs_count_up(tmp_path):
         cosim.run("academic", recorder=recorder)
 
 
-def test_options_of_a_log_are_refused_where_none_is_written(recorded, subtests):
+def test_options_of_a_log_are_refused_where_none_is_written(recorded):
     """It would be ignored."""
-    with pytest.raises(UsageError, match="embed=True applies to a log; expected out"):
-        cosim.run("academic", embed=True)
-    for option in ["force", "numbered"]:
-        with subtests.test(option=option):
-            message = f"{option}=True applies to a log; expected out"
-            settings = {option: True}
-            with pytest.raises(UsageError, match=message):
-                cosim.run("academic", **settings)
-            with pytest.raises(UsageError, match=message):
-                cosim.run("academic", recorder=Extremes(), **settings)
-            if option == "force":
-                with pytest.raises(UsageError, match=message):
-                    cosim.replay(recorded, **settings)
-                with pytest.raises(UsageError, match=message):
-                    cosim.compare("academic", swap={"plant": [recorded]}, **settings)
-
-
-def test_a_view_that_shows_nothing_is_refused():
-    """What shows a run is a server, not the number of its port."""
-    with pytest.raises(UsageError, match=r"live: expected a cosim\.live\.LiveServer, got 8765"):
-        cosim.run("academic", live=8765)
+    cases = [
+        (lambda **options: cosim.run("academic", **options), ["embed", "force", "numbered"]),
+        (lambda **options: cosim.run("academic", recorder=Extremes(), **options), ["force"]),
+        (lambda **options: cosim.replay(recorded, **options), ["force"]),
+        (lambda **o: cosim.compare("academic", swap={"plant": [recorded]}, **o), ["force"]),
+    ]
+    for act, options in cases:
+        for option in options:
+            with pytest.raises(UsageError, match=f"{option}=True applies to a log; expected out"):
+                act(**{option: True})
 
 
 def test_a_log_carries_what_it_takes_to_check_it(logged):
@@ -299,20 +236,10 @@ def test_a_log_carries_what_it_takes_to_check_it(logged):
     log = open_log(path)
     assert log.status == "complete"
     assert f'name = "{name}"' in log.attachment("scenario.toml").decode()
-    designed, states, vector = "observer", ("observer.z", "observer.q"), "plant.x_a"
-    if name == "pair":  # of its two states, the current follows from the speed and the voltage
-        designed, states, vector = "motor", ("motor.y",), "motor.x"
-    order = sum(np.size(log[state][0]) for state in states)
-    assert log.designs[designed]["Ad"].shape == (order, order)
-    last = json.loads(log.attachment("result.json"))["last"]
-    assert last[f"{vector}[1]"] == log[vector][-1, 1]
-    assert set(log.metadata) >= {
-        "cosim.run",
-        "cosim.env",
-        "cosim.schedule",
-        "cosim.connections",
-        "cosim.result",
-    }
+    signal = "motor.x" if name == "pair" else "plant.x_a"
+    assert log.results["last"][f"{signal}[1]"] == log[signal][-1, 1]
+    records = ("run", "env", "schedule", "connections", "result")
+    assert set(log.metadata) >= {f"cosim.{record}" for record in records}
 
 
 def log_of(folder, scenario):
@@ -323,53 +250,35 @@ def log_of(folder, scenario):
     return path
 
 
-@pytest.mark.slow
+OF_A_RECORDING = {"kind": "recording", "log": "b.mcap", "component": "plant"}
+UNFOLLOWED = {
+    "academic": [
+        ({"u.amplitude": 2.0}, r"\['u\.amplitude'\]: .*'u', which drives 'plant'"),
+        ({"components.u.amplitude": 2.0}, "'u', which drives 'plant'"),
+        ({"u": {"kind": "constant", "value": 1.0}}, "'u', which drives 'plant'"),
+        ({"delta.terms": [{"family": "sine", "theta": 2.0}]}, "'delta', which drives"),
+        ({"connections.plant.u": "delta.y"}, "'plant' is taken from the recording"),
+        ({"models.academic.Bu": [[0], [3], [1]]}, "'plant' is taken from the recording"),
+        ({"plant.solver": "RK45"}, "'plant' is taken from the recording"),
+        ({"plant": OF_A_RECORDING}, "taken from the recording"),
+        ({"scenario.coupling": "jacobi"}, "may change the inputs of 'plant'"),
+        ({"scenario.input_interpolation": "zero-order"}, "may change the inputs of"),
+    ],
+    "closed-loop": [
+        ({"controller.B": [[5.0]]}, "'controller', which drives 'plant'"),
+        ({"observer.filter_rate": 500.0}, "which drives 'plant'"),
+        ({"connections.controller.u": "reference.y"}, "'controller', which drives"),
+    ],
+}
+
+
 @pytest.mark.usefixtures("without_verdicts")
-def test_a_replay_refuses_what_its_recording_cannot_follow(tmp_path, subtests):
+@pytest.mark.parametrize("scenario", UNFOLLOWED)
+def test_a_replay_refuses_what_its_recording_cannot_follow(tmp_path, scenario):
     """A change of a recorded component, or of what drives one, in every spelling."""
-    for scenario, key, value, named in [
-        ("academic", "u.amplitude", 2.0, "'u', which drives 'plant'"),
-        ("academic", "components.u.amplitude", 2.0, "'u', which drives 'plant'"),
-        ("academic", "u", {"kind": "constant", "value": 1.0}, "'u', which drives 'plant'"),
-        ("academic", "delta.terms", [{"family": "sine", "theta": 2.0}], "'delta', which drives"),
-        ("academic", "connections.plant.u", "delta.y", "'plant' is taken from the recording"),
-        ("academic", "models.academic.Bu", [[0], [3], [1]], "'plant' is taken from the recording"),
-        ("academic", "plant.solver", "RK45", "'plant' is taken from the recording"),
-        (
-            "academic",
-            "plant",
-            {"kind": "recording", "log": "b.mcap", "component": "plant"},
-            "taken from the recording",
-        ),
-        ("academic", "scenario.coupling", "jacobi", "may change the inputs of 'plant'"),
-        ("academic", "scenario.input_interpolation", "zero-order", "may change the inputs of"),
-        ("closed-loop", "controller.B", [[5.0]], "'controller', which drives 'plant'"),
-        ("closed-loop", "observer.filter_rate", 500.0, "which drives 'plant'"),
-        ("closed-loop", "connections.controller.u", "reference.y", "'controller', which drives"),
-    ]:
-        with subtests.test(scenario=scenario, key=key):
-            path = log_of(tmp_path, scenario)
-            key_shown = key.removeprefix("components.")
-            message = (
-                rf"set\['{re.escape(key_shown)}'\]: .*{re.escape(named)}"
-                ".*run the scenario to change it"
-            )
-            with pytest.raises(UsageError, match=message):
-                cosim.replay(path, set={key: value})
-
-
-@pytest.mark.usefixtures("without_verdicts")
-def test_a_replay_allows_what_is_behind_its_recording(tmp_path, subtests):
-    """And the values that the scenario has."""
-    path = log_of(tmp_path, "academic")
-    for key, value in [
-        ("observer.filter_rate", 500.0),
-        ("connections.observer.u", {"from": "u.y", "gain": 2.0}),
-        ("u.amplitude", 1.0),
-    ]:
-        with subtests.test(key=key):
-            again = cosim.replay(path, set={key: value})
-            assert np.array_equal(again["plant.y"], cosim.open_log(path)["plant.y"])
+    path = log_of(tmp_path, scenario)
+    cases = [(set_, f"{named}.*run the scenario to change") for set_, named in UNFOLLOWED[scenario]]
+    check_refused(cases, lambda changes: cosim.replay(path, set=changes))
 
 
 @pytest.mark.usefixtures("without_verdicts")
@@ -396,30 +305,11 @@ def test_a_log_is_never_written_over_what_is_no_log(tmp_path):
         cosim.replay(tmp_path / "a.mcap", out=tmp_path / "a.mcap", force=True)
 
 
-def test_messages_of_the_run_are_in_the_log(tmp_path):
-    """Warnings and the reason of the end stand on /cosim/log, with their time."""
-    path = tmp_path / "a.mcap"
-    changes = {
-        "components.bad": {"kind": "expression", "y": "1/(t - 0.05)"},
-        "scenario.input_interpolation": "zero-order",
-        "scenario.stop": 0.1,
-    }
-    with pytest.raises(NonFiniteError) as error:
-        cosim.run("academic", out=path, set=changes)
-    assert any("do not trust delta" in note for note in error.value.__notes__)
-    found = [
-        (message.time_ns, message.level, message.source) for message in open_log(path).messages()
-    ]
-    assert found == [
-        (0, "warning", "observer"),
-        (0, "warning", "scenario.step"),
-        (49_000_000, "error", "run"),
-    ]
-
-
 def test_a_run_in_memory_has_the_messages_and_results_of_a_log(tmp_path):
     """Warnings, the messages of an FMU and the last row, also where nothing is written."""
-    scenario = lagging(tmp_path, "{ inner = 0.01 }")
+    lag.build(tmp_path, "2").rename(tmp_path / "lag.fmu")
+    scenario = tmp_path / "lagging.toml"
+    scenario.write_text(LAGGING)
     log = cosim.run(scenario, out=tmp_path / "a.mcap")
     memory = cosim.run(scenario)
     (message,) = [m for m in memory.messages() if "inner step" in m.text]
@@ -428,17 +318,10 @@ def test_a_run_in_memory_has_the_messages_and_results_of_a_log(tmp_path):
     assert memory.results["last"] == log.results["last"]
     assert memory.results["last"]["lag.y"] == memory["lag.y"][-1]
 
-    held = {"scenario.input_interpolation": "zero-order", "scenario.stop": 0.1}
-    warning, _ = cosim.run("academic", set=held).messages()
-    assert (warning.time_ns, warning.level, warning.source) == (0, "warning", "observer")
-
 
 @pytest.mark.usefixtures("without_verdicts")
 def test_what_a_run_warns_of_is_shown_in_python(tmp_path):
-    """In memory, in a log, in a recorder of one's own, and in a replay, as recorded there.
-
-    What a replay computes again warns anew.
-    """
+    """In memory, in a log, in a recorder of one's own, and in a replay, as recorded there."""
     held = {"scenario.input_interpolation": "zero-order", "scenario.stop": 0.05}
     path = tmp_path / "a.mcap"
     with warnings.catch_warnings(record=True) as shown:
@@ -449,13 +332,11 @@ def test_what_a_run_warns_of_is_shown_in_python(tmp_path):
         again = cosim.replay(path)
     assert {one.category for one in shown} == {cosim.CosimWarning}
     texts = [str(one.message) for one in shown]
-    assert texts[:7] == [*texts[:2] * 3, texts[0]]
+    assert texts[:7] == [*texts[:2] * 3, texts[0]]  # what a replay computes again warns anew
     assert "do not trust delta" in texts[0]
     assert "as recorded" in texts[7]
-    assert memory.warnings == log.warnings
+    assert memory.warnings == log.warnings == list(log.summary().warnings)
     assert again.warnings[0] == log.warnings[0]
-    assert list(log.summary().warnings) == log.warnings
-    assert log.summary().to_dict()["warnings"][0]["of"] == "observer"
 
 
 class Extremes:
@@ -515,13 +396,8 @@ def test_a_recorder_of_ones_own_is_left_with_the_error_of_a_failed_run():
     bad = {"components.bad": {"kind": "expression", "y": "1/(t - 0.05)"}, "scenario.stop": 0.1}
     with pytest.raises(NonFiniteError):
         cosim.run("academic", recorder=recorder, set=bad)
-    assert recorder.calls == [
-        "enter",
-        "begin",
-        ("error", "run"),
-        ["last", "warnings"],
-        "exit NonFiniteError",
-    ]
+    end = [("error", "run"), ["last", "warnings"], "exit NonFiniteError"]
+    assert recorder.calls == ["enter", "begin", *end]
 
 
 def test_a_run_has_one_recorder(tmp_path):
@@ -542,15 +418,6 @@ def test_several_signals_of_a_recording_are_stacked():
     assert np.array_equal(stacked, np.hstack(columns))
     with pytest.raises(LogError, match=r"'plant\.y' with 101 .* and 'identifier\.theta' with 11"):
         run[["plant.y", "identifier.theta"]]
-
-
-@pytest.mark.usefixtures("without_verdicts")
-def test_values_from_numpy_are_what_they_hold():
-    """Arrays, numbers and truth values, as settings and as options."""
-    changes = {"observer.L": np.array([8.0, 0.0]), "scenario.stop": np.float64(0.1)}
-    run = cosim.run("academic", set=changes, block=np.int64(3), force=np.False_)
-    assert np.array_equal(run.plan.designs["observer"]["A"][0, :1], [-8.0])
-    assert run.steps == 100
 
 
 @pytest.mark.usefixtures("without_verdicts")
@@ -578,32 +445,25 @@ def test_a_recording_must_cover_the_run_and_is_not_written_over(tmp_path):
         cosim.replay(empty)
 
 
-def lagging(folder, start):
-    """Write a scenario of 0.2 s around the lag, with start values as TOML."""
-    path = lag.build(folder, "2")
-    (scenario := folder / "mine.toml").write_text(
-        f"""
-        [scenario]
-        name = "lagging"
-        stop = 0.2
-        step = 1e-3
-        [components.u]
-        kind = "sine"
-        amplitude = 1.0
-        rate = 1.0
-        [components.d]
-        kind = "constant"
-        value = 0.0
-        [components.lag]
-        kind = "fmu"
-        path = "{path.as_posix()}"
-        start = {start}
-        [connections]
-        "lag.u" = "u.y"
-        "lag.d" = "d.y"
-        """
-    )
-    return scenario
+LAGGING = """
+scenario = { name = "lagging", stop = 0.2, step = 1e-3 }
+[components]
+u = { kind = "sine", amplitude = 1.0, rate = 1.0 }
+d = { kind = "constant", value = 0.0 }
+lag = { kind = "fmu", path = "lag.fmu", start = { inner = 0.01 } }
+[connections]
+"lag.u" = "u.y"
+"lag.d" = "d.y"
+"""
+LOOP = """
+scenario = { name = "loop", stop = 0.2, step = 1e-3 }
+[components]
+a = { kind = "fmu", path = "lag.fmu", start = { inner = 0.01, x = 1.0 } }
+b = { kind = "fmu", path = "lag.fmu", start = { inner = 0.01 } }
+[connections]
+"a.u" = { from = "b.x", gain = -1.0 }
+"b.u" = "a.x"
+"""
 
 
 def test_two_fmus_in_a_loop_do_not_hide_an_inner_step_from_each_other(tmp_path):
@@ -613,81 +473,17 @@ def test_two_fmus_in_a_loop_do_not_hide_an_inner_step_from_each_other(tmp_path):
     """
     lag.able(lag.build(tmp_path, "2"), tmp_path / "lag.fmu", "2")
     scenario = tmp_path / "loop.toml"
-    scenario.write_text(
-        """
-        scenario = { name = "loop", stop = 0.2, step = 1e-3 }
-        [components]
-        a = { kind = "fmu", path = "lag.fmu", start = { inner = 0.01, x = 1.0 } }
-        b = { kind = "fmu", path = "lag.fmu", start = { inner = 0.01 } }
-        [connections]
-        "a.u" = { from = "b.x", gain = -1.0 }
-        "b.u" = "a.x"
-        """,
-        encoding="utf-8",
-    )
-    log = cosim.run(scenario)
-    (message,) = [m for m in log.messages() if "inner step" in m.text]
-    assert (message.level, message.source) == ("warning", "a")
-    assert "at every 10th communication step only, with its inputs from its loop" in message.text
-    assert "an inner step of 0.01 s" in message.text
-    assert message.text.endswith("its loop: a, b")
+    scenario.write_text(LOOP)
     of_b_first = {"components.a.start.inner": 0.02}
-    for block in (1, 1000):
-        slow = cosim.run(scenario, set=of_b_first, block=block)
-        (message,) = [m for m in slow.messages() if "inner step" in m.text]
-        assert (message.source, message.time_ns) == ("b", 100_000_000)
-    assert len(np.unique(log["b.x"])) == 21
-    assert summarize(log).loops == ()
+    for source, changes, block in (("a", {}, None), ("b", of_b_first, 1), ("b", of_b_first, 1000)):
+        log = cosim.run(scenario, set=changes, block=block)
+        (message,) = [m for m in log.messages() if "inner step" in m.text]
+        assert (message.level, message.source) == ("warning", source)
+        assert "an inner step of 0.01 s" in message.text or source == "b"
+        assert summarize(log).loops == ()
     fine = cosim.run(scenario, set={"components.a.start": {}, "components.b.start": {}})
-    assert [m for m in fine.messages() if "inner step" in m.text] == []
+    assert "inner step" not in str(fine.messages())
     assert summarize(fine).loops == ("gauss-seidel a b (a)",)
-
-
-def test_the_message_of_a_failing_fmu_has_the_time_of_its_step(tmp_path):
-    """That is where the run ended, inside its block."""
-    with pytest.raises(RunError, match="out of petrol"):
-        cosim.run(
-            lagging(tmp_path, "{ fail = 0.155, status = 3.0 }"),
-            out=(out := tmp_path / "a.mcap"),
-            block=1000,
-        )
-    found = [
-        (m.time_ns, m.level, m.source)
-        for m in open_log(out).messages()
-        if "out of petrol" in m.text
-    ]
-    assert found == [(155_000_000, "error", "lag"), (155_000_000, "error", "run")]
-
-
-def test_messages_of_a_run_that_ended_early_are_those_up_to_its_end(tmp_path):
-    """An FMU may be ahead of the component that ends the run, by as much as a block."""
-    text = f"""
-[scenario]
-name = "early"
-stop = 2.0
-step = 0.01
-
-[components]
-saw = {{ kind = "fmu", path = "{eventful.build("SAW")}", solver = "rk4", start = {{ p = 0.05 }} }}
-ramp = {{ kind = "ramp", slope = 1.0 }}
-ends = {{ kind = "look-up-table", u = [0.0, 0.5], y = [0.0, 1.0], extrapolation = "error" }}
-
-[connections]
-"ends.u" = "ramp.y"
-"saw.u" = "ramp.y"
-"saw.d" = "ramp.y"
-"""
-    path = tmp_path / "early.toml"
-    path.write_text(text)
-    found = []
-    for block in (1, 7, 200):
-        out = tmp_path / f"{block}.mcap"
-        with pytest.raises(RunError, match="'ends' stopped"):
-            cosim.run(path, out=out, block=block)
-        messages = [m for m in open_log(out).messages() if m.source == "saw"]
-        found.append([(m.time_ns, m.text) for m in messages if "time event" in m.text])
-    assert [time_ns for time_ns, _ in found[0]] == [5 * 10**7 * k for k in range(1, 11)]
-    assert found[1:] == found[:1] * 2
 
 
 def test_a_run_without_verdicts_has_the_bits_of_one_with_them(tmp_path):
@@ -696,15 +492,8 @@ def test_a_run_without_verdicts_has_the_bits_of_one_with_them(tmp_path):
     judged = cosim.run("academic", set=short)
     path = tmp_path / "bare.mcap"
     bare = cosim.run("academic", set={**short, "scenario.verdicts": False}, out=path)
-    assert judged.results["identification"].keys() == {"identifier"}
     assert "identification" not in bare.results
-    assert [values.tobytes() for values in bare.values()] == [
-        values.tobytes() for values in judged.values()
-    ]
-    (identification,) = bare.summary().identifications
-    assert (identification.component, identification.parameters) == ("identifier", ())
-    verdicts = [
-        one["verdict"] for one in judged.results["identification"]["identifier"]["parameters"]
-    ]
-    later = cosim.identify(path)
-    assert [one.verdict for one in later.assessment.parameters] == verdicts
+    assert cosim.diff(bare, judged).equal
+    record = judged.results["identification"]["identifier"]
+    verdicts = [one["verdict"] for one in record["parameters"]]
+    assert [one.verdict for one in cosim.identify(path).assessment.parameters] == verdicts

@@ -96,6 +96,7 @@ NO_FORMS = [
         FEEDTHROUGH.replace("D = [[0.5, 2.0]]", "D = [[0.5]]"),
         r"models\.m: D: expected shape \(1, 2\), .*got \(1, 1\)",
     ),
+    ("A = [[1]]\nC = [[1]]\nB = [[1], [1]]", r"models\.m: B: expected 1 rows"),
     ("A = [[1, 2]]\nC = [[1]]", r"models\.m: A.*\(1, 2\)"),
     (
         "E = [[0, 1], [0, 0]]\nA = [[1, 0], [0, 1]]\nC = [[1, 0]]",

@@ -46,12 +46,6 @@ def test_a_replay_converts_as_its_run_did(log):
     assert not verify(old, again).passed  # its rows are not those of a version that copied
 
 
-def test_other_units_than_those_of_the_run_are_converted(log):
-    """What was replaced or changed is no part of what the run did."""
-    again = cosim.replay(of_old(log), set={"b.unit.u": "kPa"})
-    assert again["b.u"] == pytest.approx(PSI / 1e3 * log["a.y"])
-
-
 def test_a_recorded_connection_that_is_no_table_is_refused(log):
     with pytest.raises(LogError, match=r"recorded connection to 'b\.u': expected a table"):
         cosim.replay(of_old(log, connection="[]"))

@@ -1,6 +1,5 @@
 """Whatever comes in at the border of the scenarios, a CosimError comes out, and soon."""
 
-import itertools
 import math
 import os
 import re
@@ -146,22 +145,6 @@ def test_a_shipped_scenario_with_any_value_anywhere_is_run_or_refused(place, val
         cosim.run(scenario, set={"scenario.stop": scenario.file.scenario.step}, block=1)
 
 
-SMALL = {
-    "scenario": {"name": "small", "stop": 1.0, "step": 0.5},
-    "components": {"u": {"kind": "constant", "value": 1.0}},
-}
-
-
-@pytest.mark.parametrize("value", [1000, 1.0, "x", True, [], [1.0], [{}], {"a": 1.0}, [[1.0]]])
-def test_every_table_as_anything_else_is_refused_or_a_table(value):
-    """The outermost tables are of any type, too; nothing is run of an FMU or a class."""
-    for table in ("components", "models", "connections", "truth", "actions", "record", "swap"):
-        pairs = {**SMALL, table: value}.items()
-        text = "\n".join(f"{toml_of(key)} = {toml_of(item)}" for key, item in pairs)
-        with suppress(CosimError):
-            parse(Document(text, "x.toml", Path.cwd()))
-
-
 @bounded
 @given(st.text(max_size=200) | st.binary(max_size=200))
 def test_any_text_is_read_or_refused(tmp_path, content):
@@ -195,7 +178,6 @@ def test_every_key_of_a_shipped_scenario_has_its_line(place):
 def test_lines_of_a_text_with_every_form_of_key():
     """Multi-line lists and strings, arrays of tables, quoted and dotted keys."""
     text = '''a = [
-  [1, 2],
   { b = 3 }, # [c]
 ]
 "x.y"."z" = """
@@ -204,51 +186,27 @@ no = 1"""
 [[t]]
 u = 1
 [[t]]
-u = 2
 '''
-    assert key_lines(text) == {
-        "a": 1,
-        "x.y.z": 5,
-        "t": 8,
-        "t[0]": 8,
-        "t[0].u": 9,
-        "t[1]": 10,
-        "t[1].u": 11,
-    }
+    assert key_lines(text) == {"a": 1, "x.y.z": 4, "t": 7, "t[0]": 7, "t[0].u": 8, "t[1]": 9}
 
 
 # --- edits ---
 
 
-def test_a_value_from_the_shell_is_read_or_refused():
-    """Deep lists and long numbers too."""
-    texts = ["[" * 500 + "]" * 500, "9" * 5000, "[" * 100_000 + "]" * 100_000]
-    check_refused([(text, r"levels deep|digits") for text in texts], parse_value)
-
-
-@pytest.mark.parametrize(
-    ("levels", "nest"),
-    [
-        (1, lambda value: [value]),
-        (1, lambda value: {"a": value}),
-        (2, lambda value: [{"a": value}]),
-    ],
-    ids=["lists", "tables", "lists of tables"],
-)
-def test_values_are_nested_at_most_50_levels_deep(levels, nest):
+@pytest.mark.parametrize("levels", [1, 2])
+def test_values_are_nested_at_most_50_levels_deep(levels):
     """A table is one level, as a list is."""
     value = 1.5
     for _ in range(50 // levels):
-        value = nest(value)
+        value = [value] if levels == 1 else [{"a": value}]
     assert plain(value) == value
     assert parse_value(toml_of(value)) == value  # from the shell
-    text = f"key = {toml_of(value)}"
-    assert Document(text, "x.toml", Path.cwd()).tree()[0] == {"key": value}
-    with pytest.raises(UsageError, match="at most 50 levels deep"):
-        parse_value(toml_of([value]))
-    for deeper in ([value], {"a": value}):
+    assert Document(f"key = {toml_of(value)}", "x.toml", Path.cwd()).tree()[0] == {"key": value}
+    for refuse in (lambda: parse_value(toml_of([value])), lambda: plain({"a": value})):
         with pytest.raises(UsageError, match="at most 50 levels deep"):
-            plain(deeper)
+            refuse()
+    texts = ["9" * 5000, "[" * 100_000 + "]" * 100_000]
+    check_refused([(text, r"levels deep|digits") for text in texts], parse_value)
 
 
 def test_a_second_line_in_the_shell_is_part_of_a_text():
@@ -262,15 +220,6 @@ def test_any_edit_is_applied_or_refused(key, value):
     """Of any key to any value."""
     with suppress(CosimError):
         cosim.run("academic", set={key: value, "scenario.step": 0.01, "scenario.stop": 0.01})
-
-
-def test_an_edit_inside_what_another_one_replaced_is_refused():
-    """By what the other one has made of it."""
-    for first, second in itertools.permutations(
-        ["actions", "actions[0].at", "actions[0].set.u.y"], 2
-    ):
-        message = refusal(set={first: 1.0, second: 1.0})
-        assert "actions" in message
 
 
 @bounded
@@ -290,22 +239,20 @@ def test_arguments_of_any_type_are_accepted_or_refused(tmp_path, name, value):
 @given(NESTED)
 def test_other_objects_than_scenarios_and_recordings_are_refused(value):
     """By every public function."""
-    calls = (
-        cosim.load,
-        cosim.run,
-        cosim.replay,
-        cosim.open_log,
-        cosim.linearize,
-        lambda argument: cosim.diff(argument, argument),
-        lambda argument: cosim.compare(argument, swap={"plant": ["a.fmu", "b.fmu"]}),
-        lambda argument: cosim.load("academic").swap(plant=argument),
-        lambda argument: cosim.load("academic").set({"u.kind": argument}),
-        lambda argument: cosim.compare("academic", swap=argument),
-        lambda argument: cosim.compare("academic", swap={"plant": argument}),
-    )
-    for call in calls:
+    load = cosim.load("academic")
+    for call in (cosim.load, cosim.run, cosim.replay, cosim.open_log, cosim.linearize):
         with pytest.raises(CosimError):
             call(value)
+    for call in (
+        lambda: cosim.diff(value, value),
+        lambda: cosim.compare(value, swap={"plant": ["a.fmu", "b.fmu"]}),
+        lambda: load.swap(plant=value),
+        lambda: load.set({"u.kind": value}),
+        lambda: cosim.compare("academic", swap=value),
+        lambda: cosim.compare("academic", swap={"plant": value}),
+    ):
+        with pytest.raises(CosimError):
+            call()
 
 
 def test_a_text_is_no_mapping():
@@ -366,12 +313,9 @@ TOO_LARGE = [
 
 def test_numbers_and_names_that_are_too_large_are_refused():
     """Before memory is asked for, and in a message that can be read."""
-    mismatches = []
-    for changes, pattern in TOO_LARGE:
-        message = refusal(set={"scenario.stop": 0.01, **changes})
-        if not re.search(pattern, message):
-            mismatches.append(f"{changes!r:.100}: expected {pattern}, got {message}")
-    assert mismatches == []
+    short = {"scenario.stop": 0.01}
+    said = {pattern: refusal(set=short | changes) for changes, pattern in TOO_LARGE}
+    assert [pattern for pattern, message in said.items() if not re.search(pattern, message)] == []
 
 
 # --- the command line ---

@@ -14,11 +14,6 @@ from tests.scenario.refusals import check_refused
 
 TABLES = ["scenario", "models", "connections", "truth", "actions", "record", "swap", "components"]
 THETA = [-0.1, -0.3]
-FMU = """
-scenario = { name = "x", stop = 1.0, step = 0.1 }
-[components]
-plant = { kind = "fmu", path = "plant.fmu", start = { gains = [2.0, 0.5], level = 1.0 } }
-"""
 ACTED = """
 scenario = { name = "x", stop = 1.0, step = 0.5 }
 components = { u = { kind = "constant", value = 1.0 } }
@@ -83,17 +78,6 @@ def test_a_swap_names_its_component_in_both_forms(tmp_path):
     assert edited.document.swapped_components() == ["load"]
     with pytest.raises(UsageError, match=r"load.*once"):
         cosim.load("pair").edit(swap={"components.load": log, "load": log})
-
-
-def test_a_study_varies_components_of_any_name(tables, tmp_path):
-    """The grid of two components, one of them named like the prefix of a swap."""
-    study = cosim.study(
-        tables.document.source,
-        vary={"components.record.value": [1.0, 2.0], "components.swap.value": [3.0, 4.0]},
-        metrics={"sum": "last(record.y) + last(swap.y)"},
-        out=tmp_path / "out",
-    )
-    assert study.table(["sum"])["sum"].to_pylist() == [4.0, 5.0, 5.0, 6.0]
 
 
 @pytest.mark.parametrize("key", ["u.value", "components.u.value"])
@@ -166,34 +150,6 @@ def test_the_later_edit_wins(academic):
     assert again.set({"plant.x_a0": [5.0, 6.0]}).specs["plant"].x_a0 == (5.0, 6.0)
 
 
-@pytest.mark.slow
-def test_a_run_with_an_element_set_is_that_of_the_file_with_it(tmp_path, academic):
-    """Bit for bit, and so is its replay, with an element of its own."""
-    end = {"scenario.stop": 0.05}
-    by_key = cosim.run("academic", set={**end, "delta.terms[1].theta": -0.4, "plant.x_a0[0]": 2.0})
-    terms = [dict(term) for term in tree(academic)["components"]["delta"]["terms"]]
-    terms[1]["theta"] = -0.4
-    whole = cosim.run("academic", set={**end, "delta.terms": terms, "plant.x_a0": [2.0, -1.0]})
-    assert cosim.diff(by_key, whole).equal
-    log = cosim.run("academic", set=end, out=tmp_path / "a.mcap")
-    element = cosim.replay(log, set={"observer.x_a0[1]": 0.25})
-    assert cosim.diff(element, cosim.replay(log, set={"observer.x_a0": [0.0, 0.25]})).equal
-    assert element["observer.x_a"][0, 1] == 0.25
-
-
-def test_the_command_line_takes_such_keys(call, tmp_path):
-    """As --set of a run and of a replay."""
-    run = ["run", "academic", "--stop", "0.02", "--quiet", "--out", "a.mcap"]
-    assert call(*run, "--set", "plant.x_a0[1]=0.5")[0] == 0
-    assert cosim.open_log(tmp_path / "a.mcap")["plant.x_a"][0, 1] == 0.5
-    replay = ["replay", "a.mcap", "--quiet", "--out", "b.mcap"]
-    assert call(*replay, "--set", "observer.x_a0[0]=0.5")[0] == 0
-    assert cosim.open_log(tmp_path / "b.mcap")["observer.x_a"][0, 0] == 0.5
-    code, _, err = call(*replay, "--force", "--set", "plant.x_a0[0]=0.5")
-    assert code == 2
-    assert "--set plant.x_a0[0]: 'plant' is taken from the recording" in err
-
-
 UNKNOWN = [
     ("delta.terms[2].theta", r"\Aset.*\]: components\.delta\.terms .*'2'; available: 0 to 1\Z"),
     ("delta.terms[-1].theta", r"components\.delta\.terms .*'-1'; available: 0 to 1"),
@@ -226,42 +182,6 @@ def test_a_problem_with_the_whole_list_names_the_edit_of_its_element(academic):
     message = r"academic:\d+ \(with set\['observer\.L\[0\]'\]\): .*Hurwitz"
     with pytest.raises(UsageError, match=message):
         cosim.run(academic.set({"observer.L[0]": -50.0}))
-
-
-def test_names_of_ports_and_variables_stay_names(tmp_path, academic):
-    """An element of a connected input, and of a variable of an FMU that has a table of starts."""
-    ports = academic.set({"connections.plant.u[0]": "u.y"})
-    assert tree(ports)["connections"]["plant.u[0]"] == "u.y"
-    scenario = loaded(tmp_path, FMU)
-    changed = scenario.set({"plant.start.x[1]": 2.0, "plant.start.gains[1]": 0.75})
-    start = tree(changed)["components"]["plant"]["start"]
-    assert start == {"gains": [2.0, 0.75], "level": 1.0, "x[1]": 2.0}
-    plant = tree(changed.set({"plant.start.x[1]": 3.0, "plant.unit.y[0]": "m"}))["components"]
-    assert plant["plant"]["start"]["x[1]"] == 3.0
-    assert plant["plant"]["unit"] == {"y[0]": "m"}
-    with pytest.raises(ScenarioError, match=r"plant\.start\.level: expected a list, got 1\.0"):
-        scenario.set({"plant.start.level[0]": 2.0})
-
-
-def test_a_table_takes_the_place_of_one_value_for_all():
-    """Units by port, where the file has one unit; so it is in logs of before."""
-    edited = cosim.load("pair").set({"load.unit.y": "N.m"})
-    assert tree(edited)["components"]["load"]["unit"] == {"y": "N.m"}
-
-
-def test_an_action_is_edited_by_either_spelling_of_its_key(tmp_path):
-    """``actions[0]`` is ``actions.0``; a replay refuses both."""
-    scenario = loaded(tmp_path, ACTED)
-    edited = scenario.set({"actions[0].at": 1.0})
-    assert edited.document.changes == {"actions.0.at": 1.0}
-    assert edited.actions[0].at == 1.0
-    with pytest.raises(ScenarioError, match=r"actions has no element '1'; available: 0 to 0"):
-        scenario.set({"actions[1].at": 1.0})
-    with pytest.raises(ScenarioError, match=r"set\['actions\[0\]\.set\.u'\]: .*given twice"):
-        scenario.set({"actions[0].set.u": {"value": 3.0}})
-    log = cosim.run(scenario, out=tmp_path / "x.mcap")
-    with pytest.raises(UsageError, match="actions"):
-        cosim.replay(log, set={"actions[0].at": 1.0})
 
 
 # --- values of the command line ---

@@ -19,11 +19,7 @@ from tests.scenario.document.written import toml_of
 from tests.scenario.refusals import check_refused
 
 SCENARIO = """
-[scenario]
-name = "größe"
-stop = 0.2
-step = 0.1
-
+scenario = { name = "größe", stop = 0.2, step = 0.1 }
 [components."温度"]
 kind = "sine"
 rate = 1.0
@@ -106,18 +102,6 @@ def test_fields_of_a_log_are_identifiers_and_distinct(names):
     fields = identifiers(names)
     assert len({field.replace("_", "").lower() for field in fields}) == len(names)
     assert all(re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", field) for field in fields)
-
-
-def test_a_component_with_any_name_is_exported(folder):
-    """Its identifier is one of C; one that is too long for a file name is refused before."""
-    assert shell("export", "größe.toml", "--component", "größe-1", "--out", "a.fmu") == 0
-    fmu = cosim.run("größe.toml", swap={"größe-1": "a.fmu"})
-    # 1e-9 is the tolerance of the solver that integrates the FMU
-    assert fmu["größe-1.y"] == pytest.approx(cosim.run("größe.toml")["größe-1.y"], abs=1e-9)
-    long = SCENARIO.replace("größe-1", "温" * 33)
-    (folder / "long.toml").write_text(long, encoding="utf-8")
-    assert shell("export", "long.toml", "--component", "温" * 33, "--out", "b.fmu") == 2
-    assert not (folder / "b.fmu").exists()
 
 
 def shuffled(text, seed):

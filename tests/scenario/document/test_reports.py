@@ -1,21 +1,16 @@
 """All mistakes of a scenario come in one report: each with its line, each once."""
 
 import re
-import sys
-import tomllib
 from contextlib import ExitStack
 from pathlib import Path
-from time import process_time
 
 import pytest
 
 import cosim
 from cosim.cli import main
-from cosim.errors import CosimError, ScenarioError, flag, option, shell_language
+from cosim.errors import CosimError, ScenarioError
 from cosim.scenario.building.build import Builder, parse
 from cosim.scenario.document.document import Document, find
-from cosim.theory.disturbances import regression
-from cosim.theory.observers import observer
 
 TEXT = find("academic").text
 
@@ -75,54 +70,6 @@ def test_mistakes_of_all_layers_come_together():
     assert len(lines) == len(expected), lines
 
 
-SIX_LAYERS = """
-[scenario]
-name = "six"
-stop = 1.0
-step = 0.1
-couplin = "jacobi"
-
-[components]
-a = { kind = "sinus" }
-b = { kind = "sine", amplitude = 1.0 }
-c = { kind = "constant", value = 1.0, unit = "s" }
-x = { kind = "lag", time_constant = 1.0, initial = 0.0, unit = { u = "m", y = "m" } }
-d = { kind = "discrete-state-space", A = [[0]], B = [[1]], C = [[1]], D = [[1]], period = 0.1 }
-k = { kind = "gain", K = 2.0 }
-
-[connections]
-"x.u" = "c.y"
-"nobody.u" = "c.y"
-"d.u" = "k.y"
-"k.u" = "d.y"
-"""
-
-
-def test_a_problem_of_one_layer_hides_none_of_another():
-    """A wrong key, an unknown kind, a missing one, a unit, a connection to nothing, a loop."""
-    lines = report(SIX_LAYERS)
-    assert [line.split(": ")[:2] for line in lines] == [
-        ["x.toml:6", "scenario.couplin"],
-        ["x.toml:9", "components.a.kind"],
-        ["x.toml:10", "components.b"],
-        ["x.toml:17", "connections.x.u"],
-        ["x.toml:18", "connections.nobody.u"],
-        ["x.toml:16", "connections"],
-    ]
-    assert "d.y" in lines[-1]
-    assert "algebraic loop" in lines[-1]
-
-
-def test_a_misspelt_key_hides_no_wrong_connection_of_its_component():
-    """The component is taken as it was probably meant: one round for both."""
-    wrong = [("amplitude = 1.0", "amplitud = 1.0"), ('"plant.u" = "u.y"', '"plant.u" = "u.yy"')]
-    lines = report(edited(*wrong))
-    assert len(lines) == 2
-    assert "components.u.amplitud" in lines[0]
-    assert "connections.plant.u" in lines[1]
-    assert "did you mean 'y'" in lines[1]
-
-
 OBSERVER_Y = '"observer.y" = "plant.y"'
 REGRESSOR_DELTA = '"regressor.delta" = "observer.delta"'
 MISTAKES = [  # and where the report has its line, what it says there
@@ -178,166 +125,24 @@ def test_a_file_without_settings_names_the_table():
     assert "step" in line
 
 
-@pytest.mark.parametrize(
-    ("changes", "blamed"),
-    [
-        ({"scenario.step": 0.3}, "scenario.step"),
-        ({"scenario.stop": 0.0005}, "scenario.stop"),
-        ({"scenario.stop": 1.0, "scenario.step": 0.3}, "scenario.stop"),
-        ({"scenario.step": 0.0}, "scenario.step"),
-    ],
-)
-def test_a_time_off_the_grid_is_blamed_on_what_was_set(changes, blamed):
-    """Once, and with both numbers."""
-    with pytest.raises(ScenarioError) as error:
-        cosim.run("academic", set=changes)
-    line = next(line for line in str(error.value).splitlines() if line.startswith("set"))
-    assert line.startswith(f"set['{blamed}']: ")
-    assert str(changes[blamed]) in line
-    assert line.count(blamed) == 1
-
-
-def test_a_wrong_B_is_called_so():
-    """Not by a part of it, and its key once."""
-    rows = [[0.0, -1.0], [1.0, 0.0], [0.0, 0.0]]
-    cases = [(rows, r"models\.motor: B: .* 2 rows"), ([[1.0], [1.0, 2.0]], r"motor\.B.*equal")]
-    for value, expected in cases:
-        with pytest.raises(ScenarioError, match=expected):
-            cosim.run("pair", set={"models.motor.B": value})
-
-
-def test_the_same_mistake_of_two_components_is_told_of_both():
-    """Equal texts at different places are different problems."""
-    lines = report(TEXT + '\n[components.a]\nkind = "sine"\n[components.b]\nkind = "sine"\n')
-    assert len(lines) == 2
-    for name, line in zip("ab", lines, strict=True):
-        assert f"components.{name}: 'rate' is missing" in line
-
-
-def test_a_connection_that_follows_from_another_one_is_told_where_that_stands():
-    """The line of the file that leads to it, and how to change that one alone."""
-    wrong = edited(
-        (OBSERVER_Y, '"observer.y" = { from = "plant.y", unit = "m" }'),
-        ("[components.identifier]\n", '[components.identifier]\nunit = { y = "s" }\n'),
-    )
-    (line,) = report(wrong)
-    number = line_of(wrong, '"observer.y"')
-    assert line.startswith(f"x.toml:{number}: connections.observer.y: ")
-    assert "plant.y -> identifier.y: unit 'm'" in line
-    assert line.endswith("'identifier.y' has the source of 'observer.y' by default")
-
-
-def _many_problems(count):
-    """Return a text with as many wrong components and connections as wanted."""
-    lines = ['[scenario]\nname = "x"\nstop = 1.0\nstep = 0.1\n[components]']
-    lines += [f'c{i} = {{ kind = "sine", rate = 1.0, unti = "m" }}' for i in range(count // 2)]
-    lines += ["[connections]"]
-    lines += [f'"c{i}.u" = 3' for i in range(count // 2)]
-    return "\n".join(lines)
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("frozen_heap")
-def test_the_time_of_a_report_grows_with_the_number_of_its_problems():
-    """800 problems take about four times as long as 200; with the square it would be sixteen."""
-
-    def seconds(count):
-        times = []
-        for number in range(3):
-            text = _many_problems(count) + "\n" * number  # nothing is known from the last time
-            began = process_time()
-            assert len(report(text)) == count
-            times.append(process_time() - began)
-        return min(times)
-
-    seconds(20)
-    assert seconds(800) < 8.0 * seconds(200)
-
-
-def test_a_build_costs_few_times_what_its_parts_cost():
-    """Edit and build without evaluating functions one instant at a time, 3072 of them.
-
-    Calls are counted, of Python and of C: their number does not depend on the machine. The measure
-    beside it is the parsing of the same text with the standard library: 2000 calls, so that four
-    calls for each instant would be six times more.
-    """
-
-    def calls(call):
-        count = 0
-
-        def profile(frame, event, argument):
-            nonlocal count
-            count += event in ("call", "c_call")
-
-        before = sys.getprofile()
-        sys.setprofile(profile)
-        try:
-            call()
-        finally:
-            sys.setprofile(before)
-        return count
-
-    scenario = cosim.load("academic")
-
-    def edit_and_build():
-        with ExitStack() as resources:
-            Builder(scenario.set({"observer.filter_rate": 500.0}), resources).experiment()
-
-    edit_and_build()  # what is imported and compiled once
-    assert calls(edit_and_build) < 20 * calls(lambda: tomllib.loads(TEXT))
-
-
-def test_a_build_designs_every_component_once(monkeypatch):
-    """Start time, verdict, problem and units of an identifier rest on one design of its observer.
-
-    Its tables count as read by all of them: a change of the model is one of the identifier.
-    """
-    calls = []
-
-    def counted(function, name):
-        def call(*arguments, **options):
-            calls.append(name)
-            return function(*arguments, **options)
-
-        return call
-
-    monkeypatch.setattr(observer, "design", counted(observer.design, "observer"))
-    monkeypatch.setattr(regression, "expand", counted(regression.expand, "regressor"))
-    with ExitStack() as resources:
-        experiment = Builder(cosim.load("academic"), resources).experiment()
-    assert sorted(calls) == ["observer", "regressor"]
-    tables = {"components.observer", "components.regressor", "models.academic"}
-    assert experiment.built.reads["identifier"] == tables
-
-
 # --- the language of the caller ---
 
 
-def test_arguments_are_named_as_the_caller_writes_them():
-    """In Python as in Python, in the shell as options."""
-
-    def names():
-        return (
-            flag("force"),
-            flag("base", False),
-            option("set", "a.b"),
-            option("map", "p.u", "x"),
-        )
-
-    assert names() == ("force=True", "base=False", "set['a.b']", "map={'p.u': 'x'}")
-    with shell_language():
-        assert names() == ("--force", "--no-base", "--set a.b", "--map p.u=x")
-
-
-def _shell(capsys, *arguments):
-    with pytest.raises(SystemExit):
-        main(list(arguments))
-    return capsys.readouterr().err
-
-
-def test_a_message_does_not_speak_of_options_in_python(tmp_path, monkeypatch, capsys):
-    """The same mistakes in both languages."""
+@pytest.fixture
+def message(tmp_path, monkeypatch, capsys):
+    """Return a function that calls a wrong command in a fresh folder, and returns what it says."""
     monkeypatch.chdir(tmp_path)
+
+    def message(*arguments):
+        with pytest.raises(SystemExit):
+            main(list(arguments))
+        return " ".join(capsys.readouterr().err.split())
+
+    return message
+
+
+def test_a_message_does_not_speak_of_options_in_python(message):
+    """The same mistakes in both languages."""
     end = {"scenario.stop": 0.01}
     cosim.run("academic", out="a.mcap", set=end)
     cases = [
@@ -345,13 +150,12 @@ def test_a_message_does_not_speak_of_options_in_python(tmp_path, monkeypatch, ca
         ({"set": {"observer.x": 1}}, ["--set", "observer.x=1"]),
         ({"swap": {"plnt": "x.fmu"}}, ["--swap", "plnt=x.fmu"]),
         ({"map": {"plant.y": "out"}}, ["--map", "plant.y=out"]),
-        ({"set": {"filter_rate": 1}}, ["--set", "filter_rate=1"]),
     ]
     for arguments, options in cases:
         with pytest.raises(CosimError) as caught:
             cosim.run("academic", **arguments)
         assert "--" not in str(caught.value)
-        said = _shell(capsys, "run", "academic", *options)
+        said = message("run", "academic", *options)
         assert "--" in said
         assert "['" not in said
 
@@ -364,21 +168,17 @@ FILES_OF_OTHER_TYPES = {
     "replay a.fmu": r"a log \(\.mcap\).*'cosim info'",
     "replay academic": r"a log \(\.mcap\).*'cosim run'",
     "diff a.toml a.mcap": r"a log \(\.mcap\)",
-    "info .": r"\(\.mcap\).*\(\.fmu\).*\(\.csv|folder.*\(\.mcap\).*\(\.fmu\).*\(\.csv",
     "check a.mcap": r"an FMU \(\.fmu\).*'cosim info'",
     "linearize academic": r"an FMU \(\.fmu\).*'cosim info'",
-    "linearize a.toml": r"an FMU \(\.fmu\)",
     "export a.fmu --component x --out b.fmu": r"a scenario \(\.toml\)",
     "show a.mcap": r"a scenario \(\.toml\)",
-    "plot a.toml u.y --out b.png": r"\.mcap",
 }
 
 
-@pytest.mark.parametrize("command", FILES_OF_OTHER_TYPES)
-def test_a_file_of_another_type_is_refused_with_the_way_out(command, tmp_path, monkeypatch, capsys):
+def test_a_file_of_another_type_is_refused_with_the_way_out(message, tmp_path, subtests):
     """By every command that takes a file."""
-    monkeypatch.chdir(tmp_path)
     for name in ("a.mcap", "a.fmu", "a.toml"):
         (tmp_path / name).write_text("")
-    message = " ".join(_shell(capsys, *command.split()).split())
-    assert re.search(FILES_OF_OTHER_TYPES[command], message), message
+    for command, pattern in FILES_OF_OTHER_TYPES.items():
+        with subtests.test(command=command):
+            assert re.search(pattern, message(*command.split()))

@@ -33,17 +33,13 @@ with open("answers.json", "w") as file:
     json.dump(answers, file)
 """
 FMU_MODEL = {"fmu": "bait.fmu", "disturbance": "delta"}
-RECORDING = {"kind": "recording", "log": "bait.mcap", "component": "u"}
-CHANGES = [
-    {"observer.model": FMU_MODEL},
-    {"u": {"kind": "table", "file": "bait.csv"}},
-    {"u": {"kind": "fmu", "path": "bait.fmu"}},
-    {"u": RECORDING},
-    {"other": {"kind": "table", "file": "bait.csv"}},
-    {"other": {"kind": "fmu", "path": "bait.fmu"}},
-    {"other": RECORDING},
-    {"plant": {"kind": "fmu", "path": "bait.fmu"}},
+BAITS = [
+    {"kind": "table", "file": "bait.csv"},
+    {"kind": "fmu", "path": "bait.fmu"},
+    {"kind": "recording", "log": "bait.mcap", "component": "u"},
 ]
+CHANGES = [{"observer.model": FMU_MODEL}, {"plant": BAITS[1]}]
+CHANGES += [{name: bait} for name in ("u", "other") for bait in BAITS]
 
 
 def run_monitored(commands, folder):
@@ -60,28 +56,22 @@ def run_monitored(commands, folder):
     return json.loads((folder / "answers.json").read_text(encoding="utf-8")), done.stderr
 
 
-def bait(folder):
-    """Write files that a log may name: an FMU, a table, another log."""
-    cosim.run("academic", out=folder / "bait.mcap", set={"scenario.stop": 0.05})
-    export_component("academic", "plant", folder / "bait.fmu")
-    (folder / "bait.csv").write_text("t,y\n0,0\n1,1\n", encoding="utf-8")
-
-
 def craft(folder, name, changes):
     """Write a log whose scenario has been changed after the run; return its path."""
     content = take_apart(folder / "bait.mcap")
-    for record, items in content.metadata:
-        if record == "cosim.run":
-            edits = json.loads(items["edits"])
-            edits["changes"].update(changes)
-            items["edits"] = json.dumps(edits)
+    items = dict(content.metadata)["cosim.run"]
+    edits = json.loads(items["edits"])
+    edits["changes"].update(changes)
+    items["edits"] = json.dumps(edits)
     return put_together(content, folder / name)
 
 
 @pytest.mark.slow
 def test_a_replay_opens_its_log_and_what_the_command_line_names(tmp_path):
     """No table, FMU, design model or recording that the log alone names, and no library of one."""
-    bait(tmp_path)
+    cosim.run("academic", out=tmp_path / "bait.mcap", set={"scenario.stop": 0.05})
+    export_component("academic", "plant", tmp_path / "bait.fmu")
+    (tmp_path / "bait.csv").write_text("t,y\n0,0\n1,1\n")
     logs = [craft(tmp_path, f"{i}.mcap", changes) for i, changes in enumerate(CHANGES)]
     commands = [[command, log] for log in logs for command in ("replay", "info")]
     named = ["replay", logs[0], "--set", "observer.model.fmu=bait.fmu"]
@@ -118,11 +108,7 @@ class Own:
         return u[1:]
 """
 OF_CODE = """
-[scenario]
-name = "code"
-stop = 0.1
-step = 0.01
-
+scenario = { name = "code", stop = 0.1, step = 0.01 }
 [components]
 u = { kind = "sine", rate = 5.0 }
 plant = { kind = "fmu", path = "lag.fmu" }

@@ -54,23 +54,19 @@ def test_what_is_ignored_stays_ignored():
         signal.signal(signal.SIGTERM, before)
 
 
-@pytest.mark.parametrize("act", ["nothing", "remove", "replace"])
-def test_the_error_says_how_far_the_log_goes(tmp_path, act):
+@pytest.mark.parametrize("is_replaced", [False, True])
+def test_the_error_says_how_far_the_log_goes(tmp_path, is_replaced):
     """The last step is that of the last block; nothing of a log that is not at its path."""
     path = tmp_path / "a.mcap"
 
     def progress(time, end):
-        if act != "nothing":
+        if is_replaced:
             path.unlink()
-        if act == "replace":
             path.write_bytes(b"of another run")
         signal.raise_signal(signal.SIGINT)
 
     with pytest.raises(Interrupted) as raised:
         cosim.run("academic", out=path, set=SETTINGS, progress=progress, block=10)
-    notes = getattr(raised.value, "__notes__", [])
-    if act == "nothing":
-        assert notes == [f"{path} holds the run up to t = 0.01 s"]
-        assert cosim.open_log(path).end_ns == 10_000_000
-    else:
-        assert notes == []
+    notes = [] if is_replaced else [f"{path} holds the run up to t = 0.01 s"]
+    assert getattr(raised.value, "__notes__", []) == notes
+    assert is_replaced or cosim.open_log(path).end_ns == 10_000_000

@@ -1,7 +1,5 @@
 """The log of a run that was killed is a log: it says so, is verified, and gives back its rows."""
 
-import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -11,9 +9,10 @@ import pytest
 from mcap.reader import make_reader
 
 import cosim
-from cosim.errors import LogError, UsageError
+from cosim.errors import LogError
 from cosim.log.editing.recovering import recover
 from cosim.report.verification import verify
+from tests.scenario.refusals import check_refused
 
 RUN = """
 import os, signal, sys, cosim
@@ -42,8 +41,8 @@ def killed(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_a_killed_log_has_every_bit_of_its_run(killed, tmp_path):
-    """Up to the step that it ends at; a copy without its hole reads the same."""
+def test_a_killed_log_has_every_bit_of_its_run(killed):
+    """Up to the step that it ends at."""
     log = cosim.open_log(killed)
     whole = cosim.run("academic", set={"scenario.stop": 5.0})
     assert log.status == "unfinished"
@@ -54,10 +53,6 @@ def test_a_killed_log_has_every_bit_of_its_run(killed, tmp_path):
         rows = log.rows(name)
         expected = whole.rows(name)[: len(rows)]
         assert np.array_equal(rows.view(np.int64), expected.view(np.int64)), name
-    copy = tmp_path / "copy.mcap"
-    shutil.copy(killed, copy)
-    assert cosim.open_log(copy).content_hash() == log.content_hash()
-    assert os.path.getsize(copy) == os.path.getsize(killed)
 
 
 @pytest.mark.slow
@@ -83,26 +78,22 @@ def test_the_recovered_log_of_a_killed_run_is_verified(killed, tmp_path):
     assert (log.status, log.reason) == ("interrupted", "recovered from killed.mcap")
     verification = verify(log, cosim.replay(log))
     assert verification.passed
-    lines = "\n".join(verification.lines)
-    assert "the content hash is as recorded" in lines
-    assert "run recorded" not in lines
+    assert "run recorded" not in "\n".join(verification.lines)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"flush": 0.0, "out": "a.mcap"}, r"flush: expected a finite number > 0, got 0\.0"),
-        ({"flush": "1", "out": "a.mcap"}, "flush: expected a number, got '1'"),
-        ({"flush": 1.0}, "flush applies to a log; expected out"),
-        ({"sync": True}, "sync=True applies to a log; expected out"),
-        ({"sync": 1, "out": "a.mcap"}, "sync: expected True or False, got 1"),
-    ],
-)
-def test_options_of_writing_are_checked_before_the_run(tmp_path, monkeypatch, options, message):
+OPTIONS = [
+    ({"flush": 0.0, "out": "a.mcap"}, r"flush: .*> 0, got 0\.0"),
+    ({"flush": "1", "out": "a.mcap"}, "flush: .*'1'"),
+    ({"flush": 1.0}, "flush applies to a log; expected out"),
+    ({"sync": True}, "sync=True applies to a log; expected out"),
+    ({"sync": 1, "out": "a.mcap"}, "sync: expected True or False, got 1"),
+]
+
+
+def test_options_of_writing_are_checked_before_the_run(tmp_path, monkeypatch):
     """Each with one error."""
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(UsageError, match=message):
-        cosim.run("academic", **options)
+    check_refused(OPTIONS, lambda options: cosim.run("academic", **options))
     assert not list(tmp_path.iterdir())
 
 

@@ -91,85 +91,57 @@ TOML = st.sampled_from(
 )
 
 
+def texts_of(content):
+    """Return (map, key) of every text of the metadata and of the channels."""
+    maps = [items for _, items in content.metadata]
+    maps += [items for _, _, items in content.channels.values()]
+    return [(items, key) for items in maps for key in sorted(items)]
+
+
 @st.composite
 def mutations(draw, content):
-    """Change one place of a log."""
+    """Change one place of a log: a text or what is inside of it, a message, an attachment."""
     content = copy.deepcopy(content)
-    places = [mutate_metadata, mutate_channel, mutate_message, mutate_attachment, mutate_scenario]
-    draw(st.sampled_from(places))(draw, content)
+    match draw(st.sampled_from(["text", "text", "text", "message", "attachment", "scenario"])):
+        case "text":
+            items, key = draw(st.sampled_from(texts_of(content)))
+            items[key] = mutated_text(draw, items[key])
+        case "message":
+            mutate_message(draw, content)
+        case "attachment":
+            index = draw(st.integers(0, len(content.attachments) - 1))
+            name, data = content.attachments[index]
+            others = [b"", b"\xff\xfe", b"1", b"[" * 10**5, data[: len(data) // 2]]
+            content.attachments[index] = (name, draw(st.sampled_from(others)))
+        case _:
+            mutate_scenario(draw, content)
     return content
 
 
-def mutate_metadata(draw, content):
-    """Change a metadata record, its name or its number."""
-    index = draw(st.integers(0, len(content.metadata) - 1))
-    name, items = content.metadata[index]
-    match draw(st.sampled_from(["item", "item", "item", "name", "leave out", "twice"])):
-        case "item":
-            mutate_item(draw, items)
-        case "name":
-            content.metadata[index] = (draw(st.sampled_from(["", "cosim.result", "x"])), items)
-        case "leave out":
-            del content.metadata[index]
-        case _:
-            content.metadata.append((name, {}))
-
-
-def mutate_channel(draw, content):
-    """Change what a channel says of itself."""
-    number = draw(st.sampled_from(sorted(content.channels)))
-    topic, schema, items = content.channels[number]
-    action = draw(st.sampled_from(["item", "item", "item", "none", "twice"]))
-    if action == "item" and items:
-        mutate_item(draw, items)
-    elif action == "twice":
-        content.channels[99] = (f"{topic}.2", schema, items)
-    else:
-        content.channels[number] = (topic, schema, {})
-
-
-def mutate_message(draw, content):
-    """Change a message, or how often it is there."""
-    index = draw(st.integers(0, len(content.messages) - 1))
-    number, time_ns, sequence, data = content.messages[index]
-    action = draw(st.sampled_from(["value", "time", "size", "channel", "twice", "leave out"]))
-    match action:
-        case "value":
-            value = draw(st.sampled_from([math.nan, math.inf, 1e308, -0.0]))
-            data = data[:1] + np.float64(value).tobytes() + data[9:]
-        case "time":
-            time_ns = draw(st.sampled_from([0, 1, 2**63 - 1, 2**63, 2**64 - 1]))
-        case "size":
-            data = draw(st.sampled_from([b"", data[:-1], data + b"\0", data[:-9]]))
-        case "channel":
-            number = draw(st.sampled_from(sorted(content.channels)))
-    content.messages[index] = (number, time_ns, sequence, data)
-    if action == "twice":
-        content.messages.append(content.messages[index])
-    elif action == "leave out":
-        del content.messages[index]
-
-
-def mutate_attachment(draw, content):
-    """Replace an attachment."""
-    index = draw(st.integers(0, len(content.attachments) - 1))
-    name, data = content.attachments[index]
-    new = draw(st.sampled_from([b"", b"\xff\xfe", b"1", b"[" * 10**5, data[: len(data) // 2]]))
-    content.attachments[index] = (name, new)
-
-
-def mutate_item(draw, items):
-    """Change a text of a map, where it is JSON inside of it."""
-    key = draw(st.sampled_from(sorted(items)))
+def mutated_text(draw, text):
+    """Return another text, or JSON with another value in one place."""
     try:
-        value = json.loads(items[key])
+        value = json.loads(text)
     except ValueError:
         value = None
     if value is None or draw(st.integers(0, 3)) == 0:
-        items[key] = draw(TEXTS)
-        return
-    path = draw(st.sampled_from(list(paths_in(value))))
-    items[key] = json.dumps(replaced(value, path, draw(VALUES)))
+        return draw(TEXTS)
+    return json.dumps(replaced(value, draw(st.sampled_from(list(paths_in(value)))), draw(VALUES)))
+
+
+def mutate_message(draw, content):
+    """Change a message, leave it out, or write it twice."""
+    index = draw(st.integers(0, len(content.messages) - 1))
+    number, time_ns, sequence, data = content.messages[index]
+    value = draw(st.sampled_from([math.nan, math.inf, 1e308, -0.0]))
+    others = [
+        *((number, time_ns, sequence, d) for d in (b"", data[:-1], data + b"\0", data[:-9])),
+        *((number, other, sequence, data) for other in (0, 1, 2**63 - 1, 2**63, 2**64 - 1)),
+        *((other, time_ns, sequence, data) for other in sorted(content.channels)),
+        (number, time_ns, sequence, data[:1] + np.float64(value).tobytes() + data[9:]),
+    ]
+    changed = [[other] for other in others] + [[], 2 * [content.messages[index]]]
+    content.messages[index : index + 1] = draw(st.sampled_from(changed))
 
 
 def mutate_scenario(draw, content):
@@ -177,10 +149,8 @@ def mutate_scenario(draw, content):
     index = [name for name, _ in content.attachments].index("scenario.toml")
     name, data = content.attachments[index]
     lines = data.decode().splitlines()
-    with_values = [i for i, line in enumerate(lines) if " = " in line]
-    number = draw(st.sampled_from(with_values))
-    key = lines[number].split(" = ")[0]
-    lines[number] = f"{key} = {draw(TOML)}"
+    number = draw(st.sampled_from([i for i, line in enumerate(lines) if " = " in line]))
+    lines[number] = f"{lines[number].split(' = ')[0]} = {draw(TOML)}"
     content.attachments[index] = (name, "\n".join(lines).encode())
 
 

@@ -11,10 +11,7 @@ actions = [
   { at = 1.0, signal = "b.in", override = 1.0 },
   { at = 1.08, signal = "b.in", release = true },
 ]
-[scenario]
-name = "clocks"
-stop = 2.0
-step = 0.04
+scenario = { name = "clocks", stop = 2.0, step = 0.04 }
 [components]
 u = { kind = "sine", rate = 1.0 }
 a = { kind = "fmu", path = "a.fmu", interface_type = "A" }

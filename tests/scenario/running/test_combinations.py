@@ -5,6 +5,7 @@ import pytest
 
 from cosim.errors import UsageError
 from cosim.scenario.running.combinations import combination_text, combinations
+from tests.scenario.refusals import check_refused
 
 
 def test_combinations_are_the_full_product_in_order():
@@ -26,16 +27,17 @@ def test_a_thousand_combinations_are_the_most():
         combinations({"a.x": range(7), "a.y": range(143)})
 
 
-def test_an_invalid_list_of_values_is_refused(subtests):
+INVALID = [
+    ({}, "vary: expected a key and its values"),
+    ({"a.x": []}, r"vary\['a.x'\]: expected at least one value"),
+    ({"a.x": "12"}, r"vary\['a.x'\]: expected a list, got '12'"),
+    ({"a.x": 3.0}, r"vary\['a.x'\]: expected a list, got 3.0"),
+    ({"a.x": [object]}, r"vary\['a.x'\]: expected a number, .* got <class 'object'>"),
+    ([1.0], r"vary: .*\[1\.0\]"),
+    ({1: [1.0]}, "vary: .* 1$"),
+]
+
+
+def test_an_invalid_list_of_values_is_refused():
     """The message names the key."""
-    for vary, message in [
-        ({}, "vary: expected a key and its values"),
-        ({"a.x": []}, r"vary\['a.x'\]: expected at least one value"),
-        ({"a.x": "12"}, r"vary\['a.x'\]: expected a list, got '12'"),
-        ({"a.x": 3.0}, r"vary\['a.x'\]: expected a list, got 3.0"),
-        ({"a.x": [object]}, r"vary\['a.x'\]: expected a number, .* got <class 'object'>"),
-        ([1.0], r"vary: .*\[1\.0\]"),
-        ({1: [1.0]}, "vary: .* 1$"),
-    ]:
-        with subtests.test(vary=vary), pytest.raises(UsageError, match=message):
-            combinations(vary)
+    check_refused(INVALID, combinations)

@@ -41,17 +41,6 @@ def test_a_mapped_input_of_another_is_an_output_of_what_drives_it(loop, tmp_path
     np.testing.assert_array_equal(again["error.y"], run["error.y"])
 
 
-def test_other_components_may_be_swapped_beside_it(loop, tmp_path):
-    """As in a run: here the command comes from another file."""
-    other = field_log(tmp_path, name="other.mcap")
-    names = {**PLANT, "command.y": "/cmd.values[0]"}
-    again = cosim.replay(field_log(tmp_path), scenario=loop, swap={"command": other}, map=names)
-    files = {"plant": str(tmp_path / "field.mcap"), "command": str(other)}
-    run = cosim.run(loop, swap=files, map=names)
-    for signal in run:
-        np.testing.assert_array_equal(again[signal], run[signal])
-
-
 def test_missing_fields_of_a_foreign_recording_are_reported(loop, tmp_path):
     """A scenario, a map; what only a log of a run has is refused."""
     path = field_log(tmp_path)
@@ -68,14 +57,6 @@ def test_missing_fields_of_a_foreign_recording_are_reported(loop, tmp_path):
     ):
         with pytest.raises(UsageError, match=f"{name} does not apply to a recording"):
             cosim.replay(path, scenario=loop, map=PLANT, **options)
-
-
-def test_a_log_of_a_run_carries_its_own_scenario(loop, tmp_path):
-    """So there is none to name."""
-    out = tmp_path / "run.mcap"
-    cosim.run(loop, out=out)
-    with pytest.raises(UsageError, match="has its own scenario; omit scenario"):
-        cosim.replay(out, scenario=loop)
 
 
 def test_a_recording_that_is_replayed_is_not_written_over(loop, tmp_path):

@@ -6,8 +6,7 @@ import pytest
 
 import cosim
 from cosim.errors import CosimError, ScenarioError
-from cosim.log.editing.cutting import cut
-from cosim.log.editing.merging import merge
+from tests.scenario.refusals import check_refused
 
 RATES = [30, 60, 120, 144, 44_100]
 
@@ -77,19 +76,6 @@ def test_a_recording_takes_the_place_of_what_it_recorded(log):
         cosim.run("pair", set=changes_of(60), swap={"motor": str(log.path)})
 
 
-def test_parts_of_a_log_are_cut_and_joined(log, tmp_path):
-    """The joined log is the log; rows that are missing between parts are named."""
-    first, second, late = (tmp_path / f"{n}.mcap" for n in range(3))
-    cut(log.path, None, 0.508333333, first)
-    cut(log.path, 0.516666667, None, second)
-    cut(log.path, 0.525, None, late)
-    joined = tmp_path / "joined.mcap"
-    merge([first, second], joined)
-    assert cosim.open_log(joined).content_hash() == log.content_hash()
-    with pytest.raises(CosimError, match=r"rows from 0.516666667 s on are missing"):
-        merge([first, late], tmp_path / "not.mcap")
-
-
 def test_the_error_of_the_step_is_estimated_from_halves_of_it(tmp_path):
     """1/120 and 1/240 s; a search for a step, which tries whole nanoseconds, is refused."""
     certificate = cosim.certificate(cosim.run("pair", set=changes_of(60), certify=True))
@@ -148,25 +134,21 @@ def test_conditions_of_a_run_and_of_metrics_are_true_at_the_same_point(tmp_path)
         assert cosim.metrics(whole, metrics) == {"first": round(number / 60, 9)}
 
 
-@pytest.mark.parametrize(
-    ("changes", "place", "text"),
-    [
-        ({"scenario.step": 1 / 60}, "scenario.step", '"1/60"'),
-        ({"scenario.step": 0.0166666666666667}, "scenario.step", '"1/60"'),
-        ({"scenario.step": "1/0"}, "scenario.step", "1/0"),
-        ({"scenario.step": "-1/60"}, "scenario.step", "-1/60"),
-        ({"scenario.step": "0/60"}, "scenario.step", "> 0"),
-        ({"scenario.step": "1/3000000000"}, "scenario.step", "1e-9 s"),
-        ({"scenario.stop": 0.51}, "scenario.stop", "0.516666667"),
-        ({"scenario.start_time": 0.01}, "scenario.stop", "0.016666667"),
-        ({"controller.period": 0.02}, "controller", "1/60 s"),
-        ({"controller.period": "1/50"}, "controller", "1/60 s"),
-        ({"scenario.substeps": {}}, "scenario.substeps", "whole nanoseconds"),
-    ],
-)
-def test_what_is_off_the_grid_is_refused(changes, place, text):
+OFF_GRID = [
+    ({"scenario.step": 1 / 60}, 'scenario.step.*"1/60"'),
+    ({"scenario.step": 0.0166666666666667}, 'scenario.step.*"1/60"'),
+    ({"scenario.step": "1/0"}, "scenario.step.*1/0"),
+    ({"scenario.step": "-1/60"}, "scenario.step.*-1/60"),
+    ({"scenario.step": "0/60"}, "scenario.step.*> 0"),
+    ({"scenario.step": "1/3000000000"}, "scenario.step.*1e-9 s"),
+    ({"scenario.stop": 0.51}, r"scenario.stop.*0\.516666667"),
+    ({"scenario.start_time": 0.01}, r"scenario.stop.*0\.016666667|0\.016666667.*scenario.stop"),
+    ({"controller.period": 0.02}, "controller.*1/60 s"),
+    ({"controller.period": "1/50"}, "controller.*1/60 s"),
+    ({"scenario.substeps": {}}, "scenario.substeps.*whole nanoseconds"),
+]
+
+
+def test_what_is_off_the_grid_is_refused():
     """With the key, and a value that would do."""
-    with pytest.raises(ScenarioError) as caught:
-        run_pair(60, **changes)
-    assert place in str(caught.value)
-    assert text in str(caught.value)
+    check_refused(OFF_GRID, lambda changes: run_pair(60, **changes), ScenarioError)

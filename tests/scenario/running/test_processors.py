@@ -19,12 +19,7 @@ from cosim.scenario.kinds.variants import METHODS
 from tests.scenario.online import COARSE, ONLINE, noisy
 
 EVERYTHING = """
-[scenario]
-name = "everything"
-stop = 2.0
-step = 1e-3
-coupling = "gauss-seidel"
-
+scenario = { name = "everything", stop = 2.0, step = 1e-3, coupling = "gauss-seidel" }
 [components]
 jumps = { kind = "expression", discrete = true, y = ["sign(sin(9*t) - t/3)", "step(t - 1)"] }
 noise = { kind = "noise", deviation = 0.1, seed = 7, size = 20 }

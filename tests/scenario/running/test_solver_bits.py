@@ -9,11 +9,8 @@ import sys
 import pytest
 
 import cosim
-from cosim.log.comparison.diff import diff
 from cosim.native.numerics.runge_kutta import EXPLICIT
 from cosim.report.inspection import describe_log
-from cosim.report.tables.logs import print_verification
-from cosim.report.verification import Verification
 from cosim.scenario.exporting import export_component
 
 # Kernels of OpenBLAS with AVX2 and SSE; that with AVX-512 is a further one of the same kind.
@@ -91,34 +88,3 @@ def test_a_log_says_what_the_bits_of_a_solver_depend_on(solver, plant, tmp_path)
         bits = describe_log(str(log))["metadata"]["plant"].get("bits", "")
         said = f"solver {solver} computes with {IMPLICIT[solver]}: " if solver in IMPLICIT else ""
         assert bits[: len(said) or None] == said
-
-
-@pytest.mark.slow
-def test_a_replay_that_differs_names_what_its_log_depends_on(plant, tmp_path, capsys):
-    """Of two runs with different tolerances the first value that differs, and the solver's note."""
-    runs = []
-    for tolerance in (1e-6, 1e-9):
-        settings = {
-            "scenario.stop": 0.02,
-            "plant.solver": "BDF",
-            "plant.tolerance": tolerance,
-        }
-        log = tmp_path / f"{tolerance}.mcap"
-        runs.append(cosim.run("academic", swap={"plant": f"{plant}#me"}, set=settings, out=log))
-    verification = Verification(
-        recorded_hash="",
-        found_hash="",
-        difference=diff(*runs),
-        contradictions=(),
-        copied=(),
-        code=(),
-        left_out=(),
-        substeps=(),
-        scenario="academic",
-        components=(),
-        environment={},
-    )
-    print_verification(verification, runs[0], path=log, as_json=False, quiet=False)
-    message = capsys.readouterr().err
-    assert "the replay differs from the log; first: plant." in message
-    assert "note: plant: solver BDF computes with LAPACK: on another processor" in message

@@ -12,8 +12,6 @@ from cosim.scenario.recordings.port_comparison import (
     START,
     ComparedComponent,
     compare_components,
-    different_texts,
-    propose,
     rate_between,
 )
 
@@ -153,58 +151,3 @@ def test_responses_and_poles_are_compared_within_their_error():
     integrator = component(first_order(0.0, gain=1.0))
     assert integrator.responses(0.0, integrator) is None
     assert rate_between(integrator.system) == 1.0
-
-
-def test_numbers_that_differ_have_texts_that_do():
-    """With as many digits as that takes."""
-    assert different_texts(0.1, 0.2) == ("0.1", "0.2")
-    assert different_texts(1 / 3, 1 / 3 + 1e-8) == ("0.333333333", "0.333333343")
-    assert different_texts({"u -> y": [1.0, 2.0]}, None) == ("u -> y 2.23607 at 63.4349 deg", "-")
-
-
-def test_a_row_shows_what_its_port_stands_for():
-    """Ports are paired by name; after it stands what the map makes it of."""
-    before = ComparedComponent(BEFORE, ABLE)
-    after = ComparedComponent(AFTER, ABLE)
-    rows = compare_components(before, after, names={"u": "k", "x_a": "s1, s2"}, connected={"u"})
-    labels = list(dict.fromkeys(row.label for row in rows))
-    assert labels == ["u -> k", "delta", "y", "x_a -> s1, s2", "x_b", "s", "n", "k", ""]
-    assert {row.port for row in rows if row.connected} == {"u", ""}
-
-
-def test_the_best_match_is_proposed_with_its_reasons():
-    """Unit and size decide what fits, initial value and dependencies which is likelier.
-
-    Several that are equal are all proposed, elements too.
-    """
-    before = ComparedComponent(
-        Interface((Signal("u"),), (Signal("y", unit="V"), Signal("z")), {"y": ("u",)}),
-        ABLE,
-        {INITIAL: {"y": np.array([1.0]), "z": np.array([5.0])}},
-    )
-    outputs = (
-        Signal("a", unit="V"),
-        Signal("b", unit="V"),
-        Signal("c", unit="A"),
-        Signal("d", 2, unit="V"),
-        Signal("i", type="integer"),
-    )
-    values = {"a": [1.0], "b": [2.0], "c": [1.0], "d": [1.0, 3.0], "i": [5.0]}
-    after = ComparedComponent(
-        Interface((Signal("f"), Signal("g")), outputs, {"a": ("f",), "d": ("f",)}),
-        ABLE,
-        {INITIAL: {name: np.array(value) for name, value in values.items()}},
-    )
-    found = propose(before, after, ["y", "u"])
-    assert [(one.port, one.name) for one in found] == [
-        ("y", "a"),
-        ("y", "d[0]"),
-        ("u", "f"),
-        ("u", "g"),
-    ]
-    assert found[0].reasons == (
-        "output of size 1, real",
-        "unit 'V'",
-        "direct feedthrough from f",
-        "initial output 1",
-    )
