@@ -1,5 +1,6 @@
 """A plant is swapped in a run: an FMU goes on from its continuous states."""
 
+import numpy as np
 import pytest
 
 import cosim
@@ -84,3 +85,21 @@ def test_a_swap_without_hand_over_of_states_is_refused(folder, tmp_path):
         cosim.run("academic", set={**STOP, "actions": made})
 
     check_refused([(made, rf"\A.*{words}.*\Z") for made, words in actions], run, ScenarioError)
+
+
+def test_parameters_of_an_fmu_are_set_at_any_conditions(tmp_path):
+    """In place, whichever comes true first: v' = u - p, with p = 0, then 1.5, then 0.5."""
+    path = tmp_path / "friction.toml"
+    path.write_text(
+        '[scenario]\nname = "friction"\nstop = 2.0\nstep = 0.1\n[components]\n'
+        'u = { kind = "constant", value = 2.0 }\nd = { kind = "constant", value = 0.0 }\n'
+        f'fmu = {{ kind = "fmu", path = "{friction(tmp_path, 2)}" }}\n'
+        '[connections]\n"fmu.u" = "u.y"\n"fmu.d" = "d.y"\n'
+    )
+    actions = [
+        {"when": "t >= 1.0", "set": {"fmu.p": 1.5}},
+        {"when": "t >= 1.5", "set": {"fmu.p": 0.5}},
+    ]
+    run = cosim.run(path, set={"fmu.start": {"p": 0.0}, "actions": actions})
+    rises = np.diff(run["fmu.v"])
+    assert rises[[4, 12, 18]] == pytest.approx([0.2, 0.05, 0.15])
