@@ -322,7 +322,13 @@ class Builder:
                     "recompute it, too"
                 )
             component = Replay(recording, name)
-        return spec.with_period(component, period) if isinstance(spec, PeriodicKind) else component
+        if not isinstance(spec, PeriodicKind):
+            return component
+        sampled = spec.with_period(component, period)
+        if isinstance(component, Replay) and sampled is not component:
+            component.hold(sampled.interface)  # its rows were sampled in the run
+            return component
+        return sampled
 
     def _drop_repeated_problems(self) -> None:
         """Drop what a component says of another that it reads, which says that itself."""

@@ -272,6 +272,34 @@ def test_changes_of_what_is_not_chosen_are_refused(log):
     assert cosim.diff(again, cosim.replay(log, set=changes)).equal
 
 
+SAMPLED = """
+scenario = { name = "sampled", stop = 0.4, step = 1e-2 }
+actions = [ { at = TIME, signal = "pid.measurement", gain = 1.5 } ]
+[components]
+source = { kind = "constant", value = 1.0 }
+pid = { kind = "pid", gain = 0.5, period = 0.1, offset = OFFSET }
+behind = { kind = "lag", time_constant = 0.3 }
+[connections]
+"pid.setpoint" = "source.y"
+"pid.measurement" = "source.y"
+"behind.u" = "pid.y"
+"""
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.03, 0.05])
+@pytest.mark.parametrize("component", ["source", "behind"])
+def test_what_followed_a_fault_is_held_until_the_next_sample(component, offset, tmp_path):
+    """The fault falls on a sample of a copied controller, whose row there is the left limit."""
+    path = tmp_path / "sampled.toml"
+    text = SAMPLED.replace("OFFSET", str(offset)).replace("TIME", str(0.2 + offset))
+    path.write_text(text)
+    log = cosim.run(path, out=tmp_path / "log.mcap")
+    assert ("pid.y", "follow") in [(event.signal, event.cause) for event in log.events()]
+    again = cosim.replay(log, components=[component])
+    check_bits(again, log)
+    assert again.events() == log.events()
+
+
 def test_a_sensor_whose_log_has_not_all_its_rows_is_to_be_computed(tmp_path):
     """Between its samples it has no value, and no row."""
     table = {"kind": "sensor", "period": 0.01}
