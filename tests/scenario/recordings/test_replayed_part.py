@@ -458,6 +458,20 @@ def test_an_input_with_a_fault_or_a_gain_is_not_what_drives_it(loop, signal):
         cosim.replay(loop([signal]), components=["behind"])
 
 
+@pytest.mark.parametrize("signals", [["behind.*"], ["behind.u"], ["pid.y", "behind.y"]])
+@pytest.mark.parametrize("period", ["", ", period = 0.1"])
+def test_what_follows_an_unrecorded_fault_reaches_what_is_computed(signals, period, tmp_path):
+    """The log has nothing of the faulted input, and not what drives it, but what followed."""
+    path = tmp_path / "sampled.toml"
+    text = SAMPLED.replace(", period = 0.1, offset = OFFSET", period).replace("TIME", "0.2")
+    path.write_text(text)
+    whole = cosim.run(path)
+    log = cosim.run(path, set=recorded(signals), out=tmp_path / "log.mcap")
+    again = cosim.replay(log, components=["behind"], set=ALL)
+    check_bits(again, whole)
+    assert ("behind.u", "follow") in [(event.signal, event.cause) for event in again.events()]
+
+
 def test_a_verification_names_what_it_did_not_check(part):
     """Components are verified as a whole where all of their signals are in the log."""
     log = part(["observer.*", "regressor.mu", "plant.y"])
