@@ -472,6 +472,23 @@ def test_what_follows_an_unrecorded_fault_reaches_what_is_computed(signals, peri
     assert ("behind.u", "follow") in [(event.signal, event.cause) for event in again.events()]
 
 
+def test_events_of_signals_that_a_copied_component_lacks_are_passed_over(tmp_path):
+    """A fault of the plant, of which the log has the output, reaches states, too."""
+    changes = SHORT | recorded(["observer.y", "observer.delta"])
+    with cosim.load("academic").set(changes).start(out=tmp_path / "a.mcap") as session:
+        session.step(50)
+        session["plant.u"] = 1.0
+        session.step(150)
+    log = cosim.open_log(tmp_path / "a.mcap")
+    assert "plant.x_b" in [event.signal for event in log.events()]
+    assert verify(log, cosim.replay(log)).passed
+    with cosim.load("academic").set(SHORT).start(out=tmp_path / "b.mcap") as session:
+        session.step(50)
+        session["plant.u"] = 1.0
+        session.step(150)
+    check_bits(cosim.replay(log, set=ALL), cosim.open_log(tmp_path / "b.mcap"))
+
+
 def test_a_verification_names_what_it_did_not_check(part):
     """Components are verified as a whole where all of their signals are in the log."""
     log = part(["observer.*", "regressor.mu", "plant.y"])
