@@ -140,6 +140,11 @@ def prepared_replay(
     specs = experiment.scenario.specs
     uncomputed = dict(experiment.uncomputed)
     window = request.window
+    if window is not None:
+        from cosim.scenario.recordings.records import recorded_channels  # rarely needed
+        from cosim.scenario.recordings.window import check_begin
+
+        check_begin(window, recorded_channels(experiment), source.grid)
     experiment.origin = ReplayOrigin(
         os.path.relpath(source.path),
         source.recorded_hash or source.content_hash(),
