@@ -598,12 +598,21 @@ class Builder:
             yield "scenario.substeps", text
 
     def advice(self, name: str, spec: Kind, graph: Graph) -> list[str]:
-        """Return the warnings of a component that knows what drives it."""
+        """Return the warnings of a component that knows what drives it.
+
+        None of a copied one without some of its inputs; it is asked, as what it reads counts.
+        """
         if not isinstance(spec, Advising):
             return []
-        inputs = self.components[name].interface.input_columns()
+        component = self.components[name]
+        inputs = component.interface.input_columns()
         held = {signal: bool(graph.held[name][columns].any()) for signal, columns in inputs.items()}
-        return spec.advice(name, self.context, held=held, h=self.clock.h)
+        lacking: frozenset[str] = frozenset()
+        if isinstance(component, Replay) and name in self._declared:
+            lacking = frozenset(self._declared[name].interface.input_names - held.keys())
+        held |= dict.fromkeys(lacking, False)
+        texts = spec.advice(name, self.context, held=held, h=self.clock.h)
+        return [] if lacking else texts
 
 
 def asks_for_means(spec: Kind) -> bool:

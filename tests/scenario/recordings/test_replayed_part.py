@@ -489,6 +489,35 @@ def test_events_of_signals_that_a_copied_component_lacks_are_passed_over(tmp_pat
     check_bits(cosim.replay(log, set=ALL), cosim.open_log(tmp_path / "b.mcap"))
 
 
+SWITCHED = """
+scenario = { name = "switched", stop = 0.2, step = 1e-2 }
+[components]
+source = { kind = "sine", rate = 3.0 }
+switch = { kind = "switch", discrete = true }
+behind = { kind = "lag", time_constant = 0.3 }
+[connections]
+"switch.u1" = "source.y"
+"switch.u2" = "source.y"
+"switch.control" = "source.y"
+"behind.u" = "switch.y"
+"""
+
+
+def test_a_copied_component_without_its_inputs_has_its_recorded_warnings(tmp_path):
+    """A switch warns of its control, which a copied one need not have."""
+    path = tmp_path / "switched.toml"
+    path.write_text(SWITCHED)
+    whole = cosim.run(path, out=tmp_path / "a.mcap")
+    (warning,) = [text for _, _, name, text in whole.warnings if name == "switch"]
+    part = cosim.run(path, set=recorded(["switch.y"]), out=tmp_path / "b.mcap")
+    for log, before in ((whole, ""), (part, "as recorded at t = 0.0 s: ")):
+        again = cosim.replay(log, components=["behind"], set=ALL)
+        check_bits(again, whole)
+        texts = [text for _, _, name, text in again.warnings if name == "switch"]
+        assert f"{before}{warning}" in texts
+        assert verify(log, again).passed
+
+
 def test_a_verification_names_what_it_did_not_check(part):
     """Components are verified as a whole where all of their signals are in the log."""
     log = part(["observer.*", "regressor.mu", "plant.y"])
