@@ -17,7 +17,7 @@ from cosim.core.graph import Graph
 from cosim.core.partial_recorder import chosen_signals
 from cosim.core.port import Port
 from cosim.core.recorded.partial import declared_channels
-from cosim.core.signals import Channel, Interface
+from cosim.core.signals import SAMPLE_TIMES, Channel, Interface
 from cosim.core.stages.looking_ahead import bound_to_steps
 from cosim.core.stepping.actions import AT_CONDITION, Action, ConditionalAction, TimedAction
 from cosim.core.structure.connection_checks import check_connections
@@ -313,22 +313,35 @@ class Builder:
         if name in self._origins.left_out:
             recording = self._origins.recording
             assert recording is not None, "only a replay leaves components out"
-            outputs = [signal.name for signal in component.interface.outputs]
-            has_samples = isinstance(spec, HasSamples) and any(map(spec.samples_of, outputs))
-            if has_samples and self.periods[name] > 1:
+            reader = self._reader_of_samples(name, spec, component)
+            if reader is not None and self.periods[name] > 1:
                 raise UsageError(
-                    "cannot be substituted from the log, which has a row only every "
-                    f"{self.periods[name]} communication steps and no marks of missing samples; "
-                    "recompute it, too"
+                    f"cannot be substituted from the log for '{reader}', as that has a row only "
+                    f"every {self.periods[name]} communication steps and no marks of missing "
+                    "samples; recompute it, too"
                 )
             component = Replay(recording, name)
         if not isinstance(spec, PeriodicKind):
             return component
         sampled = spec.with_period(component, period)
-        if isinstance(component, Replay) and sampled is not component:
+        if isinstance(component, Replay):
+            if sampled is component and self.periods[name] == 1:
+                return component
             component.hold(sampled.interface)  # its rows were sampled in the run
             return component
         return sampled
+
+    def _reader_of_samples(self, name: str, spec: Kind, component: Component) -> Port | None:
+        """Return an input that has samples of a component, not only what it holds between them."""
+        if not isinstance(spec, HasSamples):
+            return None
+        outputs = [signal.name for signal in component.interface.outputs]
+        samples = {SAMPLE_TIMES, *map(spec.samples_of, outputs)}
+        for to, connection in self.scenario.connections.items():
+            for source in connection.sources:
+                if source.component == name and source.signal in samples:
+                    return to
+        return None
 
     def _drop_repeated_problems(self) -> None:
         """Drop what a component says of another that it reads, which says that itself."""

@@ -301,14 +301,34 @@ def test_what_followed_a_fault_is_held_until_the_next_sample(component, offset, 
 
 
 def test_a_sensor_whose_log_has_not_all_its_rows_is_to_be_computed(tmp_path):
-    """Between its samples it has no value, and no row."""
+    """Where its samples are read: between them it has no value, and no row."""
     table = {"kind": "sensor", "period": 0.01}
     changes = {**SHORT, "components.sensor": table, "connections.sensor.u": "plant.y"}
-    log = cosim.run("academic", out=tmp_path / "a.mcap", set=changes)
-    message = r"set\['sensor'\]: .* only every 10 communication steps .*; recompute it, too"
+    read = changes | {"connections.identifier.y": "sensor.y"}
+    log = cosim.run("academic", out=tmp_path / "a.mcap", set=read)
+    message = (
+        r"set\['sensor'\]: .* for 'identifier\.samples', .* only every 10 communication steps .*; "
+        "recompute it, too"
+    )
     with pytest.raises(ScenarioError, match=message):
-        cosim.replay(log, components=["observer"])
-    assert verify(log, cosim.replay(log, components=["observer", "sensor"])).passed
+        cosim.replay(log, components=["identifier"])
+    assert verify(log, cosim.replay(log, components=["identifier", "sensor"])).passed
+
+
+def test_a_sensor_whose_samples_nobody_reads_is_copied(tmp_path):
+    """What it holds is in its rows, and what followed a fault at a sample in the events."""
+    path = tmp_path / "sampled.toml"
+    path.write_text(
+        SAMPLED.replace('kind = "pid", gain = 0.5', 'kind = "sensor"')
+        .replace(", offset = OFFSET", ", dropout = 0.4, seed = 3")
+        .replace("TIME", "0.2")
+        .replace('"pid.setpoint" = "source.y"\n', "")
+        .replace("pid.measurement", "pid.u")
+    )
+    log = cosim.run(path, out=tmp_path / "log.mcap")
+    assert ("behind.u", "follow") in [(event.signal, event.cause) for event in log.events()]
+    for component in ("source", "behind"):
+        check_bits(cosim.replay(log, components=[component]), log)
 
 
 def test_the_command_line_names_what_was_not_verified(log, call):
