@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -20,11 +21,13 @@ from cosim.core.contracts import Design, Stopped
 from cosim.core.port import Port
 from cosim.core.recorded.partial import declared_channels, partial_of, reduced_interface
 from cosim.core.recorded.signals import find_channel
-from cosim.core.recording import Recording
+from cosim.core.recording import EventCause, Recording
 from cosim.core.signals import Channel, Interface, Signal
 from cosim.errors import GraphError, LogError
 from cosim.native.blocks.functions import RecordedStep
 from cosim.native.step import NativeStep
+
+_Outputs: TypeAlias = list[tuple[slice, tuple[float, ...]]]  # their columns, and the values
 
 
 class Replay:
@@ -76,7 +79,7 @@ class Replay:
             whole = _with_unrecorded(recording, channel) if unrecorded else recorded
             signals = tuple(_shown(channel, signal, constant) for signal in whole.inputs)
             shown = replace(whole, inputs=signals)
-        self._limits = _left_limits(recording, component, recorded)
+        self._limits = _changes(recording, component, recorded, "jump")
         self.interface = replace(
             shown,
             prepares=True,
@@ -95,6 +98,8 @@ class Replay:
             time_ns = np.append(times.nanoseconds(0, len(times)), recording.end_ns)
             times = GivenTimes(time_ns, instants_of(recording, time_ns))
         self._times = times
+        self._followed = _changes(recording, component, recorded, "follow")
+        self._right_limits: dict[float, _Outputs] = {}
         self._rows = RecordedRows(recording, component, times)
         self._kernel = RecordedStep(recorded.n_y)
         self._show_rows()
@@ -104,6 +109,21 @@ class Replay:
             # what may jump, but has no recorded jump, has not jumped
             left_outputs = (self._never.ctypes.data, self._no_outputs.ctypes.data)
             self._kernel.step.left_outputs = left_outputs
+
+    def hold(self, interface: Interface) -> None:
+        """Hold its outputs between its rows, as a component does that has a sample period.
+
+        An output that followed an input at a row holds from there on what it had then, which is
+        not what the row has: that is the left limit.
+
+        Parameters
+        ----------
+        interface : Interface
+            The one with the sample period.
+        """
+        self.interface = interface
+        self._right_limits = self._followed
+        self._show_rows()
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Pass the recorded design on, so that a replay's log is as complete as the run's."""
@@ -169,14 +189,30 @@ class Replay:
     def _rows_at(self, t: Vector) -> Matrix:
         """Return the rows at some times; the compiled step has those around the last one."""
         before = self._rows.rows
-        rows = self._rows.at(self._index(t))
+        numbers = self._index(t)
+        rows = self._rows.at(numbers)
         if self._rows.rows is not before:
             self._show_rows()
+        return self._held(t, numbers, rows)
+
+    def _held(self, t: Vector, numbers: RowNumbers, rows: Matrix) -> Matrix:
+        """Put right limits in the places of rows that are held behind them."""
+        for time, outputs in self._right_limits.items():
+            own = numbers == self._times.last_not_after(np.array([time]))
+            for columns, values in outputs:
+                rows[own & (t > time), columns] = values
         return rows
 
     def _show_rows(self) -> None:
         kept = self._rows
-        self._kernel.take(self._times.seconds(kept.begin, kept.stop), kept.rows)
+        t = self._times.seconds(kept.begin, kept.stop)
+        rows = kept.rows
+        within = [time for time in self._right_limits if t[0] <= time <= t[-1]]
+        if within:
+            t = np.union1d(t, np.nextafter(within, np.inf))  # right limits are rows of their own
+            numbers = self._times.last_not_after(t)
+            rows = self._held(t, numbers, rows[numbers - kept.begin])
+        self._kernel.take(t, rows)
 
     def _index(self, t: Vector) -> RowNumbers:
         index = self._times.last_not_after(t)
@@ -202,24 +238,25 @@ def _check_every_row(recording: Recording, channel: Channel) -> None:
         )
 
 
-def _left_limits(
-    recording: Recording, component: str, interface: Interface
-) -> dict[float, list[tuple[slice, tuple[float, ...]]]]:
-    """Return the left limits of outputs by time [s]: their columns, and the values."""
-    limits: dict[float, list[tuple[slice, tuple[float, ...]]]] = {}
+def _changes(
+    recording: Recording, component: str, interface: Interface, cause: EventCause
+) -> dict[float, _Outputs]:
+    """Return what events of one cause have of outputs, by time [s]: their columns, and the values.
+
+    Of outputs that jump by themselves these are left limits, of those that follow right ones.
+    """
+    changes: dict[float, _Outputs] = {}
     columns = interface.output_columns()
     for event in recording.events():
         port = Port.parse(event.signal)
-        if event.cause == "jump" and port.component == component and port.name in columns:
+        if event.cause == cause and port.component == component and port.name in columns:
             own = (columns[port.name], event.values)
             (time,) = instants_of(recording, np.array([event.time_ns])).tolist()
-            limits.setdefault(time, []).append(own)
-    return limits
+            changes.setdefault(time, []).append(own)
+    return changes
 
 
-def _jumping(
-    interface: Interface, limits: Mapping[float, Sequence[tuple[slice, tuple[float, ...]]]]
-) -> tuple[str, ...]:
+def _jumping(interface: Interface, limits: Mapping[float, _Outputs]) -> tuple[str, ...]:
     """Return the outputs that may jump by themselves, or of which there are left limits."""
     starts = {columns.start for at_time in limits.values() for columns, _ in at_time}
     names = []

@@ -172,6 +172,8 @@ def _apply(
             _change_input(simulation, jump)
     except UsageError as error:
         raise _misfit(jump, error) from error
+    for name, outputs in given.items():  # what they followed may not be here
+        simulation.take_outputs(name, {}, outputs)
     simulation.complete_jumps(given)
 
 

@@ -17,7 +17,7 @@ from cosim.core.graph import Graph
 from cosim.core.partial_recorder import chosen_signals
 from cosim.core.port import Port
 from cosim.core.recorded.partial import declared_channels
-from cosim.core.signals import Channel, Interface
+from cosim.core.signals import SAMPLE_TIMES, Channel, Interface
 from cosim.core.stages.looking_ahead import bound_to_steps
 from cosim.core.stepping.actions import AT_CONDITION, Action, ConditionalAction, TimedAction
 from cosim.core.structure.connection_checks import check_connections
@@ -313,16 +313,35 @@ class Builder:
         if name in self._origins.left_out:
             recording = self._origins.recording
             assert recording is not None, "only a replay leaves components out"
-            outputs = [signal.name for signal in component.interface.outputs]
-            has_samples = isinstance(spec, HasSamples) and any(map(spec.samples_of, outputs))
-            if has_samples and self.periods[name] > 1:
+            reader = self._reader_of_samples(name, spec, component)
+            if reader is not None and self.periods[name] > 1:
                 raise UsageError(
-                    "cannot be substituted from the log, which has a row only every "
-                    f"{self.periods[name]} communication steps and no marks of missing samples; "
-                    "recompute it, too"
+                    f"cannot be substituted from the log for '{reader}', as that has a row only "
+                    f"every {self.periods[name]} communication steps and no marks of missing "
+                    "samples; recompute it, too"
                 )
             component = Replay(recording, name)
-        return spec.with_period(component, period) if isinstance(spec, PeriodicKind) else component
+        if not isinstance(spec, PeriodicKind):
+            return component
+        sampled = spec.with_period(component, period)
+        if isinstance(component, Replay):
+            if sampled is component and self.periods[name] == 1:
+                return component
+            component.hold(sampled.interface)  # its rows were sampled in the run
+            return component
+        return sampled
+
+    def _reader_of_samples(self, name: str, spec: Kind, component: Component) -> Port | None:
+        """Return an input that has samples of a component, not only what it holds between them."""
+        if not isinstance(spec, HasSamples):
+            return None
+        outputs = [signal.name for signal in component.interface.outputs]
+        samples = {SAMPLE_TIMES, *map(spec.samples_of, outputs)}
+        for to, connection in self.scenario.connections.items():
+            for source in connection.sources:
+                if source.component == name and source.signal in samples:
+                    return to
+        return None
 
     def _drop_repeated_problems(self) -> None:
         """Drop what a component says of another that it reads, which says that itself."""
@@ -592,12 +611,21 @@ class Builder:
             yield "scenario.substeps", text
 
     def advice(self, name: str, spec: Kind, graph: Graph) -> list[str]:
-        """Return the warnings of a component that knows what drives it."""
+        """Return the warnings of a component that knows what drives it.
+
+        None of a copied one without some of its inputs; it is asked, as what it reads counts.
+        """
         if not isinstance(spec, Advising):
             return []
-        inputs = self.components[name].interface.input_columns()
+        component = self.components[name]
+        inputs = component.interface.input_columns()
         held = {signal: bool(graph.held[name][columns].any()) for signal, columns in inputs.items()}
-        return spec.advice(name, self.context, held=held, h=self.clock.h)
+        lacking: frozenset[str] = frozenset()
+        if isinstance(component, Replay) and name in self._declared:
+            lacking = frozenset(self._declared[name].interface.input_names - held.keys())
+        held |= dict.fromkeys(lacking, False)
+        texts = spec.advice(name, self.context, held=held, h=self.clock.h)
+        return [] if lacking else texts
 
 
 def asks_for_means(spec: Kind) -> bool:

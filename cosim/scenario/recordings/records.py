@@ -104,6 +104,16 @@ def _plain_conversions(graph: Graph, to: Port, connection: Connection) -> list[d
     return [asdict(conversion) for conversion in conversions]
 
 
+def recorded_channels(experiment: Experiment) -> dict[str, Channel]:
+    """Return what an experiment records, by component."""
+    layout = experiment.graph.layout
+    selection = experiment.scenario.file.record.selection
+    channels = {channel.name: channel for channel in layout.channels}
+    signals = chosen_signals(channels, selection, beside=experiment.declared)
+    chosen, _ = partial_layout(layout, signals, selection.every)
+    return {channel.name: channel for channel in chosen.channels}
+
+
 def attachments_of(experiment: Experiment, *, embed: bool = False) -> list[Attachment]:
     """Return the files for the log.
 
@@ -116,13 +126,8 @@ def attachments_of(experiment: Experiment, *, embed: bool = False) -> list[Attac
         If one of these is too large, or is not the one any more that was opened.
     """
     text = experiment.scenario.document.text
-    graph = experiment.graph
-    selection = experiment.scenario.file.record.selection
-    channels = {channel.name: channel for channel in graph.layout.channels}
-    signals = chosen_signals(channels, selection, beside=experiment.declared)
-    chosen, _ = partial_layout(graph.layout, signals, selection.every)
-    recorded = {channel.name: channel for channel in chosen.channels}
-    panels = _viewer_panels(recorded, graph.connections, experiment.truth)
+    recorded = recorded_channels(experiment)
+    panels = _viewer_panels(recorded, experiment.graph.connections, experiment.truth)
     attachments = [
         Attachment(SCENARIO_FILE, "application/toml", text.encode()),
         *(

@@ -14,7 +14,7 @@ import numpy as np
 
 from cosim.core.contracts import Design
 from cosim.core.port import Port
-from cosim.core.recorded.partial import declared_channels
+from cosim.core.recorded.partial import declared_channels, partial_of
 from cosim.core.recording import CompleteRecording, SignalEvent
 from cosim.errors import LogError, ScenarioError, UsageError, option
 from cosim.instants import NANOSECONDS
@@ -140,6 +140,11 @@ def prepared_replay(
     specs = experiment.scenario.specs
     uncomputed = dict(experiment.uncomputed)
     window = request.window
+    if window is not None:
+        from cosim.scenario.recordings.records import recorded_channels  # rarely needed
+        from cosim.scenario.recordings.window import check_begin
+
+        check_begin(window, recorded_channels(experiment), source.grid)
     experiment.origin = ReplayOrigin(
         os.path.relpath(source.path),
         source.recorded_hash or source.content_hash(),
@@ -325,12 +330,14 @@ def _check_held(experiment: Experiment, source: CompleteRecording) -> None:
 def _add_events(experiment: Experiment, builder: Builder, source: CompleteRecording) -> None:
     """Fill in the events of the recording, and what sets parameters in them.
 
-    What jumps by itself does so again.
+    What jumps by itself does so again. Of a partial log a copied component need not have all of its
+    signals: nothing that is computed rests on the others.
     """
+    is_partial = partial_of(source.channels) is not None
 
     def happens(event: SignalEvent) -> bool:
         """Return whether a replay has what an event is about."""
-        if not (experiment.uncomputed or experiment.absent):
+        if not is_partial:
             return True
         port = Port.parse(event.signal)
         if port.component not in experiment.graph.components:

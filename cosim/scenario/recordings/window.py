@@ -7,6 +7,7 @@ computed.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -23,8 +24,9 @@ from cosim.core.recording import (
     SignalEvent,
     Substep,
 )
+from cosim.core.signals import Channel
 from cosim.errors import UsageError, quoted
-from cosim.instants import step_value
+from cosim.instants import Grid, step_value
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +73,7 @@ def window_of(source: CompleteRecording, ends: object) -> ReplayWindow:
     ------
     UsageError
         If it is no window, or not within the recording; a ClockError if it is not on the grid of
-        the communication points, or begins where a component has no row.
+        the communication points.
     """
     match ends:
         case [begin, end]:
@@ -88,15 +90,33 @@ def window_of(source: CompleteRecording, ends: object) -> ReplayWindow:
             f"the window from {stamp(index) / 1e9} s to {stamp(last) / 1e9} s: expected at least "
             f"one communication step, {step_value(source.step_ns)} s"
         )
-    for name, channel in source.channels.items():
-        late = index % channel.period
+    return ReplayWindow(stamp(index), stamp(last), index)
+
+
+def check_begin(window: ReplayWindow, channels: Mapping[str, Channel], grid: Grid) -> None:
+    """Check that a window begins where all components of a replay have a row, if they have any.
+
+    Parameters
+    ----------
+    window : ReplayWindow
+    channels : mapping of component name to Channel
+        What the replay records; a log need not have all of these.
+    grid : Grid
+        Of the communication points.
+
+    Raises
+    ------
+    UsageError
+        If a component has none there.
+    """
+    for name, channel in channels.items():
+        late = window.index % channel.period
         if late:
             raise UsageError(
-                f"the window begins at {begin} s, where {name!r} has no row: it has one every "
-                f"{channel.period} communication steps; nearest before: "
-                f"{stamp(index - late) / 1e9} s"
+                f"the window begins at {window.begin} s, where {name!r} has no row: it has one "
+                f"every {channel.period} communication steps; nearest before: "
+                f"{grid.stamp(window.index - late) / 1e9} s"
             )
-    return ReplayWindow(stamp(index), stamp(last), index)
 
 
 def _point(source: CompleteRecording, time: object, verb: str) -> int:

@@ -228,15 +228,63 @@ def test_changes_of_what_is_not_chosen_are_refused(log):
     assert cosim.diff(again, cosim.replay(log, set=changes)).equal
 
 
+SAMPLED = """
+scenario = { name = "sampled", stop = 0.4, step = 1e-2 }
+actions = [ { at = TIME, signal = "pid.measurement", gain = 1.5 } ]
+[components]
+source = { kind = "constant", value = 1.0 }
+pid = { kind = "pid", gain = 0.5, period = 0.1, offset = OFFSET }
+behind = { kind = "lag", time_constant = 0.3 }
+[connections]
+"pid.setpoint" = "source.y"
+"pid.measurement" = "source.y"
+"behind.u" = "pid.y"
+"""
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.03, 0.05])
+@pytest.mark.parametrize("component", ["source", "behind"])
+def test_what_followed_a_fault_is_held_until_the_next_sample(component, offset, tmp_path):
+    """The fault falls on a sample of a copied controller, whose row there is the left limit."""
+    path = tmp_path / "sampled.toml"
+    text = SAMPLED.replace("OFFSET", str(offset)).replace("TIME", str(0.2 + offset))
+    path.write_text(text)
+    log = cosim.run(path, out=tmp_path / "log.mcap")
+    assert ("pid.y", "follow") in [(event.signal, event.cause) for event in log.events()]
+    again = cosim.replay(log, components=[component])
+    check_bits(again, log)
+    assert again.events() == log.events()
+
+
 def test_a_sensor_whose_log_has_not_all_its_rows_is_to_be_computed(tmp_path):
-    """Between its samples it has no value, and no row."""
+    """Where its samples are read: between them it has no value, and no row."""
     table = {"kind": "sensor", "period": 0.01}
     changes = {**SHORT, "components.sensor": table, "connections.sensor.u": "plant.y"}
-    log = cosim.run("academic", out=tmp_path / "a.mcap", set=changes)
-    message = r"set\['sensor'\]: .* only every 10 communication steps .*; recompute it, too"
+    read = changes | {"connections.identifier.y": "sensor.y"}
+    log = cosim.run("academic", out=tmp_path / "a.mcap", set=read)
+    message = (
+        r"set\['sensor'\]: .* for 'identifier\.samples', .* only every 10 communication steps .*; "
+        "recompute it, too"
+    )
     with pytest.raises(ScenarioError, match=message):
-        cosim.replay(log, components=["observer"])
-    assert verify(log, cosim.replay(log, components=["observer", "sensor"])).passed
+        cosim.replay(log, components=["identifier"])
+    assert verify(log, cosim.replay(log, components=["identifier", "sensor"])).passed
+
+
+def test_a_sensor_whose_samples_nobody_reads_is_copied(tmp_path):
+    """What it holds is in its rows, and what followed a fault at a sample in the events."""
+    path = tmp_path / "sampled.toml"
+    path.write_text(
+        SAMPLED.replace('kind = "pid", gain = 0.5', 'kind = "sensor"')
+        .replace(", offset = OFFSET", ", dropout = 0.4, seed = 3")
+        .replace("TIME", "0.2")
+        .replace('"pid.setpoint" = "source.y"\n', "")
+        .replace("pid.measurement", "pid.u")
+    )
+    log = cosim.run(path, out=tmp_path / "log.mcap")
+    assert ("behind.u", "follow") in [(event.signal, event.cause) for event in log.events()]
+    for component in ("source", "behind"):
+        check_bits(cosim.replay(log, components=[component]), log)
 
 
 # --- of a partial log ---
@@ -350,6 +398,66 @@ def test_an_input_with_a_fault_or_a_gain_is_not_what_drives_it(loop, signal):
     """So that it says nothing of the plant."""
     with pytest.raises(LogError, match=r"its input 'behind\.u' comes from 'plant\.y'"):
         cosim.replay(loop([signal]), components=["behind"])
+
+
+@pytest.mark.parametrize("signals", [["behind.*"], ["behind.u"], ["pid.y", "behind.y"]])
+@pytest.mark.parametrize("period", ["", ", period = 0.1"])
+def test_what_follows_an_unrecorded_fault_reaches_what_is_computed(signals, period, tmp_path):
+    """The log has nothing of the faulted input, and not what drives it, but what followed."""
+    path = tmp_path / "sampled.toml"
+    text = SAMPLED.replace(", period = 0.1, offset = OFFSET", period).replace("TIME", "0.2")
+    path.write_text(text)
+    whole = cosim.run(path)
+    log = cosim.run(path, set=recorded(signals), out=tmp_path / "log.mcap")
+    again = cosim.replay(log, components=["behind"], set=ALL)
+    check_bits(again, whole)
+    assert ("behind.u", "follow") in [(event.signal, event.cause) for event in again.events()]
+
+
+def test_events_of_signals_that_a_copied_component_lacks_are_passed_over(tmp_path):
+    """A fault of the plant, of which the log has the output, reaches states, too."""
+    changes = SHORT | recorded(["observer.y", "observer.delta"])
+    with cosim.load("academic").set(changes).start(out=tmp_path / "a.mcap") as session:
+        session.step(50)
+        session["plant.u"] = 1.0
+        session.step(150)
+    log = cosim.open_log(tmp_path / "a.mcap")
+    assert "plant.x_b" in [event.signal for event in log.events()]
+    assert verify(log, cosim.replay(log)).passed
+    with cosim.load("academic").set(SHORT).start(out=tmp_path / "b.mcap") as session:
+        session.step(50)
+        session["plant.u"] = 1.0
+        session.step(150)
+    check_bits(cosim.replay(log, set=ALL), cosim.open_log(tmp_path / "b.mcap"))
+
+
+SWITCHED = """
+scenario = { name = "switched", stop = 0.2, step = 1e-2 }
+[components]
+source = { kind = "sine", rate = 3.0 }
+switch = { kind = "switch", discrete = true }
+behind = { kind = "lag", time_constant = 0.3 }
+[connections]
+"switch.u1" = "source.y"
+"switch.u2" = "source.y"
+"switch.control" = "source.y"
+"behind.u" = "switch.y"
+"""
+
+
+def test_a_copied_component_without_its_inputs_has_its_recorded_warnings(tmp_path):
+    """A switch warns of its control, which a copied one need not have."""
+    path = tmp_path / "switched.toml"
+    path.write_text(SWITCHED)
+    whole = cosim.run(path, out=tmp_path / "a.mcap")
+    (warning,) = [text for _, _, name, text in whole.warnings if name == "switch"]
+    part = cosim.run(path, set=recorded(["switch.y"]), out=tmp_path / "b.mcap")
+    for log, before in ((whole, ""), (part, "as recorded at t = 0.0 s: ")):
+        again = cosim.replay(log, components=["behind"], set=ALL)
+        check_bits(again, whole)
+        texts = [text for _, _, name, text in again.warnings if name == "switch"]
+        assert f"{before}{warning}" in texts
+        assert verify(log, again).passed
 
 
 def test_a_verification_names_what_it_did_not_check(part):

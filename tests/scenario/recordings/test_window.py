@@ -68,6 +68,29 @@ def test_an_invalid_window_is_refused(log):
         cosim.replay(log, window=(0.1, None), set={"scenario.stop": 0.15})
 
 
+def test_a_window_begins_where_all_that_the_replay_records_has_rows(log, tmp_path):
+    """Not where the log has some: a replay may record other components, and other rows."""
+    partial = {"scenario.stop": 0.2, "record.signals": ["observer.*", "plant.*"]}
+    part = cosim.run("academic", out=tmp_path / "a.mcap", set=partial)
+    everything = {"record.signals": ["*"], "record.every": 1}
+    message = r"the window begins at 0\.053 s, where 'identifier' has no row: .* 100 .*: 0\.0 s"
+    with pytest.raises(UsageError, match=message):
+        cosim.replay(part, set=everything, window=(0.053, None))
+    check_same_rows(cosim.replay(part, window=(0.053, 0.06)), cosim.replay(part), 0.053, 0.06)
+    few = cosim.run("academic", out=tmp_path / "b.mcap", set=partial | {"record.every": 7})
+    message = (
+        r"the window begins at 0\.053 s, where 'u' has no row: it has one every 7 .*: 0\.049 s"
+    )
+    with pytest.raises(UsageError, match=message):
+        cosim.replay(few, set={"record.signals": ["*"]}, window=(0.053, None))
+    again = cosim.replay(
+        few, set={"record.signals": ["u.*"], "record.every": 1}, window=(0.053, 0.06)
+    )
+    check_same_rows(
+        again, cosim.replay(log, window=(0.053, 0.06), set={"record.signals": ["u.*"]}), 0.053, 0.06
+    )
+
+
 def test_a_window_cannot_be_replayed(log, tmp_path):
     """What was before it is missing; the message names the log that has it."""
     part = cosim.replay(log, window=(0.1, 0.15), out=tmp_path / "b.mcap")
