@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
@@ -92,14 +93,16 @@ class Replay:
             left_limits=_jumping(recorded, self._limits),
             substeps=True,  # in a loop the recorded ones are taken
         )
-        last_ns = times.nanoseconds(len(times) - 1, len(times))[0]
+        self._last = len(times) - 1  # of its own rows
+        last_ns = times.nanoseconds(self._last, len(times))[0]
         if channel.period > 1 and recording.end_ns > last_ns:
             # the run went on behind the last row of a component that lacks some steps
             time_ns = np.append(times.nanoseconds(0, len(times)), recording.end_ns)
             times = GivenTimes(time_ns, instants_of(recording, time_ns))
         self._times = times
-        self._followed = _changes(recording, component, recorded, "follow")
         self._right_limits: dict[float, _Outputs] = {}
+        self._right_limits_at = np.empty(0)
+        self._find_followed = partial(_changes, recording, component, recorded, "follow")
         self._rows = RecordedRows(recording, component, times)
         self._kernel = RecordedStep(recorded.n_y)
         self._show_rows()
@@ -122,7 +125,8 @@ class Replay:
             The one with the sample period.
         """
         self.interface = interface
-        self._right_limits = self._followed
+        self._right_limits = self._find_followed()
+        self._right_limits_at = np.array(list(self._right_limits))
         self._show_rows()
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
@@ -197,9 +201,15 @@ class Replay:
 
     def _held(self, t: Vector, numbers: RowNumbers, rows: Matrix) -> Matrix:
         """Put right limits in the places of rows that are held behind them."""
-        for time, outputs in self._right_limits.items():
+        if not (len(self._right_limits) and len(t)):
+            return rows
+        numbers = np.minimum(numbers, self._last)
+        row = int(numbers[0])
+        ends = (self._times.seconds(row, row + 1)[0], t[-1])
+        begin, stop = np.searchsorted(self._right_limits_at, ends)
+        for time in self._right_limits_at[begin:stop].tolist():
             own = numbers == self._times.last_not_after(np.array([time]))
-            for columns, values in outputs:
+            for columns, values in self._right_limits[time]:
                 rows[own & (t > time), columns] = values
         return rows
 
@@ -207,8 +217,9 @@ class Replay:
         kept = self._rows
         t = self._times.seconds(kept.begin, kept.stop)
         rows = kept.rows
-        within = [time for time in self._right_limits if t[0] <= time <= t[-1]]
-        if within:
+        begin, stop = np.searchsorted(self._right_limits_at, t[[0, -1]])
+        within = self._right_limits_at[begin:stop]
+        if len(within):
             t = np.union1d(t, np.nextafter(within, np.inf))  # right limits are rows of their own
             numbers = self._times.last_not_after(t)
             rows = self._held(t, numbers, rows[numbers - kept.begin])

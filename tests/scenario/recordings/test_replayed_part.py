@@ -244,12 +244,13 @@ behind = { kind = "lag", time_constant = 0.3 }
 
 @pytest.mark.parametrize("offset", [0.0, 0.03, 0.05])
 @pytest.mark.parametrize("component", ["source", "behind"])
-def test_what_followed_a_fault_is_held_until_the_next_sample(component, offset, tmp_path):
+@pytest.mark.parametrize("stop", [0.27, 0.4])
+def test_what_followed_a_fault_is_held_until_the_next_sample(component, offset, stop, tmp_path):
     """The fault falls on a sample of a copied controller, whose row there is the left limit."""
     path = tmp_path / "sampled.toml"
     text = SAMPLED.replace("OFFSET", str(offset)).replace("TIME", str(0.2 + offset))
     path.write_text(text)
-    log = cosim.run(path, out=tmp_path / "log.mcap")
+    log = cosim.run(path, set={"scenario.stop": stop}, out=tmp_path / "log.mcap")
     assert ("pid.y", "follow") in [(event.signal, event.cause) for event in log.events()]
     again = cosim.replay(log, components=[component])
     check_bits(again, log)
