@@ -41,6 +41,7 @@ from cosim.scenario.record import (
 )
 from cosim.scenario.recordings.recorded_scenario import recorded_document
 
+_RECORDS: Final = "rows outside that window, records of the run"
 _MOST_SHOWN: Final = 8  # contradictions, or components
 _OF_PARTIAL_LOGS: Final = {
     "unrecorded": "not verified, as the partial log has no signals of",
@@ -124,6 +125,8 @@ class Verification:
         The part of the log that was compared [s]; None: all of it.
     statements : str
         What the log says of its run that was compared, in words.
+    not_compared : str
+        What of it was not.
     is_changed : bool
         Whether the scenario was changed for the replay.
     """
@@ -141,6 +144,7 @@ class Verification:
     environment: Mapping[str, tuple[str, str]]
     window: tuple[float, float] | None = None
     statements: str = ""
+    not_compared: str = _RECORDS
     is_changed: bool = False
 
     @property
@@ -177,20 +181,13 @@ class Verification:
                 equal,
                 f"the records of the run agree with the replay: {self.statements}",
             ]
-            not_compared = (
-                "designs of what was not recomputed, models from files and FMUs, error growth of "
-                "loops, error estimates, stop reason, machine and time, metadata of FMUs and files"
-            )
-            if "cosim" in self.environment:
-                not_compared += ", warnings of another version of cosim"
         else:
             lines.append(f"{equal}, and all events, from {self.window[0]} s to {self.window[1]} s")
-            not_compared = "rows outside that window, records of the run"
         return [
             *lines,
             *self._not_verified(),
-            f"not compared: {not_compared}; logs are not signed: replacing the whole log by one "
-            "of another run is not detected",
+            f"not compared: {self.not_compared}; logs are not signed: replacing the whole log by "
+            "one of another run is not detected",
         ]
 
     def _not_verified(self) -> Iterator[str]:
@@ -351,6 +348,7 @@ def verify(
         environment=environment_changes(source),
         window=window,
         statements=str(statements or ""),
+        not_compared=statements.not_compared if statements else _RECORDS,
         is_changed=_edits(again) != _edits(source),
     )
 

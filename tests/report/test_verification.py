@@ -10,12 +10,13 @@ from cosim.errors import CosimError, LogError, RunError, UsageError
 from cosim.log import open_log
 from cosim.log.comparison.difference import ElementDifference
 from cosim.log.editing.cutting import cut
-from cosim.report.statements import Contradiction
+from cosim.report.statements import Contradiction, Statements
 from cosim.report.verification import verify
 from cosim.scenario.document.document import shipped
 from tests.log.crafting import change_rows, put_together, take_apart
 from tests.report.forging import forged, with_entries, with_own_hash
 
+IDENTIFICATION = "identification"
 COPIED = ("plant.y", "plant.x_a", "plant.x_b")
 
 
@@ -46,6 +47,14 @@ def judged(tmp_path_factory):
         (own, f"{own}irregular = 1e-5\n"),
         ("filter_rate = 1e3", "filter_rate = 100.0"),
     )
+
+
+@pytest.fixture(scope="module")
+def noisy(tmp_path_factory):
+    """Record a run whose verdicts have tests of the residual; return its path."""
+    changes = {"scenario.stop": 8.0, "scenario.step": 0.01}
+    path = tmp_path_factory.mktemp("noisy") / "a.mcap"
+    return cosim.run("academic-noisy", out=path, set=changes).path
 
 
 def verified(path, **options):
@@ -303,11 +312,117 @@ def test_no_estimate_can_be_changed(judged, tmp_path, change, statements):
     assert found == [f"verdicts.identifier.{statement}" for statement in statements]
 
 
+def paths_of(value, *place):
+    """Yield the places of all values in a tree, and of its empty branches."""
+    match value:
+        case dict() if value:
+            items = value.items()
+        case [_, *_]:
+            items = enumerate(value)
+        case _:
+            yield place
+            return
+    for key, own in items:
+        yield from paths_of(own, *place, key)
+
+
+def change_value(own, place):
+    """Change a value of a tree such that no rounding explains it, and keep its type."""
+    *parents, last = place
+    for key in parents:
+        own = own[key]
+    match own[last]:
+        case bool(value):
+            own[last] = not value
+        case int(value) | float(value):
+            own[last] = value * 3 + 1
+        case str(value):
+            own[last] = f"{value} or not"
+        case None:
+            own[last] = 1.0
+        case []:
+            own[last] = [0.5]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("log", ["judged", "noisy"])
+def test_each_value_of_the_verdicts_counts(log, request, tmp_path):
+    """Whatever value is changed: the log is refused, or its verification fails at that place."""
+    honest = request.getfixturevalue(log)
+    again = cosim.replay(honest)
+    content = take_apart(honest)
+    attachments = dict(content.attachments)
+    places = list(paths_of(json.loads(attachments["result.json"])[IDENTIFICATION]))
+    assert len(places) > 30
+    missed = []
+    for place in places:
+        results = json.loads(attachments["result.json"])
+        change_value(results[IDENTIFICATION], place)
+        changed = {**attachments, "result.json": json.dumps(results).encode()}
+        content.attachments = list(changed.items())
+        path = put_together(content, tmp_path / "b.mcap")
+        try:
+            found = list(Statements(open_log(path), again, None).contradictions())
+        except LogError:
+            continue
+        statement = ".".join(map(str, ("verdicts", *place)))
+        if [entry.statement for entry in found] not in ([statement], [f"{statement}.0"]):
+            missed.append((place, found))
+    assert missed == []
+
+
+@pytest.mark.parametrize(
+    ("sentence", "passes"),
+    [
+        ("theta[0] moves by 3.6 half widths, at 6", True),
+        ("theta[0] moves by 3.7 half widths, at 6.1", True),  # as another processor may round
+        ("theta[0] moves by 3.8 half widths, at 6", False),
+        ("theta[0] moves by -3.6 half widths, at 6", False),
+        ("theta[1] moves by 3.6 half widths, at 6", False),
+        ("theta[0] moves by 3.6 half widths, at 7", False),
+        ("theta[0] moves by 3.6 half widths", False),
+        ("theta[0] moves by 3.6e+999999999999 half widths, at 6", False),
+    ],
+)
+def test_numbers_in_sentences_may_differ_in_their_last_digit(judged, tmp_path, sentence, passes):
+    """The other words count, and so do whole numbers, which count or name something."""
+    again = cosim.replay(judged)
+    said = "theta[0] moves by 3.6 half widths, at 6"
+    again.results[IDENTIFICATION]["identifier"]["parameters"][0]["reason"] = said
+
+    def change(results):
+        results[IDENTIFICATION]["identifier"]["parameters"][0]["reason"] = sentence
+
+    found = verify(open_log(forged(judged, tmp_path / "b.mcap", results=change)), again)
+    assert found.passed is passes
+
+
+@pytest.mark.parametrize("version", ["0.0.1", cosim.__version__])
+def test_the_layout_for_viewers_is_compared_unless_another_version_made_it(
+    judged, tmp_path, version
+):
+    """Every line of it; that of another version stands in the list of what is not compared."""
+    content = take_apart(judged)
+    dict(content.metadata)["cosim.env"]["cosim"] = version
+    layout = dict(content.attachments)["viewer-layout.json"]
+    changed = layout.replace(b"plant.y", b"plant.z", 1)
+    assert changed != layout
+    content.attachments = [
+        (name, changed if name == "viewer-layout.json" else item)
+        for name, item in content.attachments
+    ]
+    verification = verified(put_together(content, tmp_path / "b.mcap"))
+    is_own = version == cosim.__version__
+    assert verification.passed is not is_own
+    assert ("layout for viewers" in verification.statements) is is_own
+    assert ("layout for viewers" in verification.not_compared) is not is_own
+
+
 def test_what_was_compared_is_said(judged, tmp_path):
     """All components of a whole log are computed or copied; a part has no last row of its run."""
     known = "truth connections schedule times component-tables overrides substeps warnings"
     compared = verified(judged).statements.replace(" ", "-").split(",-")
-    assert compared == [*known.split(), "last-row", "verdicts"]
+    assert compared == [*known.split(), "layout-for-viewers", "last-row", "verdicts"]
     part = cut(judged, None, 4.0, tmp_path / "part.mcap")
     assert "last row" not in verify(part, cosim.replay(part)).statements
 
