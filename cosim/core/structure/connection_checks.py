@@ -125,7 +125,7 @@ def _problems(
     absent = [port for port in ends if port.component not in ports.channels]
     for port in absent:
         if port.component not in missing:
-            yield str(unknown_component(port, [*ports.channels, *missing]))
+            yield str(unknown_component(port, [*ports.channels, *sorted(missing)]))
     if absent:
         return
     try:

@@ -95,6 +95,54 @@ MISTAKES = [  # and where the report has its line, what it says there
 ]
 
 
+SIX_LAYERS = """
+[scenario]
+name = "six"
+stop = 1.0
+step = 0.1
+couplin = "jacobi"
+
+[components]
+a = { kind = "sinus" }
+b = { kind = "sine", amplitude = 1.0 }
+c = { kind = "constant", value = 1.0, unit = "s" }
+x = { kind = "lag", time_constant = 1.0, initial = 0.0, unit = { u = "m", y = "m" } }
+d = { kind = "discrete-state-space", A = [[0]], B = [[1]], C = [[1]], D = [[1]], period = 0.1 }
+k = { kind = "gain", K = 2.0 }
+
+[connections]
+"x.u" = "c.y"
+"nobody.u" = "c.y"
+"d.u" = "k.y"
+"k.u" = "d.y"
+"""
+
+
+def test_a_problem_of_one_layer_hides_none_of_another():
+    """A wrong key, an unknown kind, a missing one, a unit, a connection to nothing, a loop."""
+    found = [line.split(": ")[:2] for line in report(SIX_LAYERS)]
+    assert found == [
+        ["x.toml:6", "scenario.couplin"],
+        ["x.toml:9", "components.a.kind"],
+        ["x.toml:10", "components.b"],
+        ["x.toml:17", "connections.x.u"],
+        ["x.toml:18", "connections.nobody.u"],
+        ["x.toml:16", "connections"],
+    ]
+    assert "d.y" in report(SIX_LAYERS)[-1]
+    assert "algebraic loop" in report(SIX_LAYERS)[-1]
+
+
+def test_a_misspelt_key_hides_no_wrong_connection_of_its_component():
+    """The component is taken as it was probably meant: one round for both."""
+    wrong = [("amplitude = 1.0", "amplitud = 1.0"), ('"plant.u" = "u.y"', '"plant.u" = "u.yy"')]
+    lines = report(edited(*wrong))
+    assert len(lines) == 2
+    assert "components.u.amplitud" in lines[0]
+    assert "connections.plant.u" in lines[1]
+    assert "did you mean 'y'" in lines[1]
+
+
 def test_a_consequence_of_a_mistake_is_not_a_second_mistake():
     """One wrong thing is one line, at its place; others follow from it, as of the identifier."""
     mismatches = []
