@@ -31,6 +31,7 @@ from cosim.scenario.kinds.identification_source import IdentifierSource, start_t
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
 from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
 from cosim.scenario.kinds.terms import element_count, families_of
+from cosim.scenario.kinds.variants import LINEAR_METHODS
 from cosim.theory.assessment.accuracy import STEPS_CHECKED
 from cosim.theory.compensation.activation import Activation
 from cosim.theory.compensation.design import CompensatorGains
@@ -74,7 +75,6 @@ ZEROS: Final = "no zero at a mode of the disturbance"
 STABILITY: Final = "stability of the sampled loop"
 ACTIVATION: Final = "use of the internal model"
 LIMITS: Final = "limits of u"
-LINEAR: Final = ("least-squares", "gradient", "drem")
 OF_Y: Final = ("output-error", "augmented-kalman", "extended-kalman")  # the others: of mu
 INSEPARABLE: Final = 1e-9  # of directions of chi or delta by theta, relative: as good as none
 
@@ -307,7 +307,7 @@ def _method(name: str, kind: IdentifierKind, beginning: Beginning) -> Evidence:
     if name not in builder.components:
         raise DependsOnInvalid
     parameters = generators(design.families).parameters
-    if kind.method in LINEAR:
+    if kind.method in LINEAR_METHODS:
         n_eta = len(design.terms) - 1
         evidence = f"{kind.method}: {n_eta} coefficients, theta by formula"
         return evidence, {"theta": parameters, "eta": n_eta}
@@ -330,7 +330,7 @@ def _excitation(name: str, kind: IdentifierKind, beginning: Beginning) -> Assump
         if not source.regression.is_expanded:
             raise DependsOnInvalid(f"method {kind.method!r} does not support these terms")
         mu = _regression(kind, source, delta, beginning)
-        if kind.method in LINEAR:
+        if kind.method in LINEAR_METHODS:
             return _linear(kind, information(mu[:, 1:], beginning.clock.h))
         return _nonlinear(source.regression, mu, theta)
 

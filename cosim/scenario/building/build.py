@@ -259,8 +259,8 @@ class Builder:
             self.problems.append((place, out_of_range(error)))
 
     def _component(self, name: str, spec: Kind) -> Component:
-        recording = self._origins.recording
-        if recording is not None and not spec.computable:
+        recording = self.context.replayed_from(spec)
+        if recording is not None:
             if isinstance(spec, DescriptorKind):
                 self.context.model(spec.model)  # what it was made of: a replay cannot change that
             record = component_record(recording, name)
@@ -537,9 +537,12 @@ class Builder:
         graph = self._graph
         for name, text in self._warnings(graph):
             self.context.warn(name, text)
-        specs = self.scenario.specs.items()
-        copies = self._origins.copies
-        recorded = tuple(n for n, spec in specs if copies(n, computable=spec.computable))
+        left_out = self._origins.left_out
+        recorded = tuple(
+            name
+            for name, spec in self.scenario.specs.items()
+            if name in left_out or self.context.replayed_from(spec) is not None
+        )
         clock = self.clock
         performed = [(clock.grid.stamp(timed.index), timed.action) for timed in self._actions]
         for reaction in self._reactions:

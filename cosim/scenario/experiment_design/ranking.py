@@ -19,6 +19,7 @@ from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.document import plain, short
 from cosim.scenario.experiment_design.trial import DesignSubject, Trial, subject_of, trial_of
 from cosim.scenario.kinds.identification import IdentifierKind
+from cosim.scenario.kinds.identified_plant import OUTPUT_ERROR
 from cosim.scenario.kinds.reconstruction import DEFAULT_ORDER, FILTERS
 from cosim.scenario.running.execution import load
 from cosim.theory.experiment_design.delay_search import search_delays
@@ -28,7 +29,6 @@ RegressionMethod: TypeAlias = Literal["rayleigh", "least-squares"]
 _Steps: TypeAlias = tuple[int, ...]  # delays in samples
 _Settings: TypeAlias = Mapping[str, Any]
 REGRESSION_METHODS: Final[tuple[RegressionMethod, ...]] = ("rayleigh", "least-squares")
-OUTPUT_ERROR: Final = "output-error"
 
 _CHOICES: Final = ("scenario", "delays", "filter", "step", "window", "together", "input")
 _METHODS: Final = (OUTPUT_ERROR, *REGRESSION_METHODS)

@@ -562,12 +562,14 @@ class BuildContext(CodeLoading):
 
     def recorded(self, name: str) -> Interface | None:
         """Return the interface of a component that is taken from a recording; None: it is not."""
-        spec = self.spec(name)  # counts as read, in a run as in a replay
-        if self.origins.recording is None or spec.computable:
+        recording = self.replayed_from(self.spec(name))  # counts as read, in a run, too
+        if recording is None:
             return None
-        return find_channel(
-            self.origins.recording.channels, name, source=self.origins.recording.label
-        ).interface
+        return find_channel(recording.channels, name, source=recording.label).interface
+
+    def replayed_from(self, spec: Kind) -> Recording | None:
+        """Return the recording of a component that a log is not enough to compute; None: it is."""
+        return None if spec.computable else self.origins.recording
 
     def lag(self, to: Port) -> float:
         """Return how far the signal that drives an input lags behind what it estimates [s].
@@ -601,9 +603,9 @@ class BuildContext(CodeLoading):
         return next(iter(lags), 0.0)
 
     def _lag_of(self, spec: Kind, source: Port) -> float:
-        if self.origins.recording is not None and not spec.computable:
-            record = component_record(self.origins.recording, source.component)
-            return record.lags.get(source.signal, 0.0)
+        recording = self.replayed_from(spec)
+        if recording is not None:
+            return component_record(recording, source.component).lags.get(source.signal, 0.0)
         try:
             return spec.lag(source.component, source.signal, self)
         except CosimError as error:  # the problem of that component, which reports it itself
@@ -634,17 +636,15 @@ class BuildContext(CodeLoading):
             raise unknown_port(source, component.interface, "output")
         signal, elements = matched
         column = component.interface.output_columns()[signal.name].start + elements.start
-        if spec.is_recorded or self._is_replayed(spec):
+        if spec.is_recorded or self.replayed_from(spec) is not None:
             return _interpolated(component, column, self.clock)
         return partial(_values_at, component, column)
 
-    def _is_replayed(self, spec: Kind) -> bool:
-        return self.origins.recording is not None and not spec.computable
-
     def _source(self, name: str, spec: Kind) -> Component:
         """Return a component without inputs, beside that of the run."""
-        if self.origins.recording is not None and self._is_replayed(spec):
-            return Replay(self.origins.recording, name)
+        recording = self.replayed_from(spec)
+        if recording is not None:
+            return Replay(recording, name)
         count = len(self.warnings)
         try:
             return spec.build(name, self)

@@ -80,10 +80,6 @@ class Origins:
     describes: bool = False
     unpacked: UnpackedFmus | None = None
 
-    def copies(self, name: str, *, computable: bool) -> bool:
-        """Return whether a component is taken from the recording."""
-        return self.recording is not None and (not computable or name in self.left_out)
-
 
 TABLES_ALONE: Final = Origins()
 
@@ -105,8 +101,7 @@ class BuildRecord:
     current : str
         The component that is being built.
     metadata : dict of component name to plain values
-    warned : list of (name, (component, text))
-        Warnings, with the component that was being built.
+    warnings : list of (component, text)
     reads : dict of component name to names of tables
         That were read to build the component, and its design rests on.
     attachments : dict of file name to text
@@ -156,8 +151,7 @@ class BuildRecord:
     def made_once(self, what: str, name: str, make: Callable[[], T]) -> T:
         """Make something of a component or table, once in a build, and return it.
 
-        The tables that are read and looked up for it count as read and looked up by every component
-        that asks for it.
+        The tables that are read for it count as read by every component that asks for it.
         """
         if (what, name) not in self._kept:
             current = self.current

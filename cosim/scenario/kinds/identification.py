@@ -60,7 +60,12 @@ from cosim.scenario.kinds.identified_plant import (
 from cosim.scenario.kinds.reconstruction import delta_transient
 from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
 from cosim.scenario.kinds.values import ImpliedConnection, shared_connections
-from cosim.scenario.kinds.variants import METHODS, IdentificationMethod, foreign_keys
+from cosim.scenario.kinds.variants import (
+    LINEAR_METHODS,
+    METHODS,
+    IdentificationMethod,
+    foreign_keys,
+)
 from cosim.theory.disturbances import regression
 from cosim.theory.disturbed_plant import disturbed_plant
 from cosim.theory.estimators import defaults
@@ -223,7 +228,7 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
                 f"are checked for independence {when}",
             )
         identified = None if problem else self._identified(source, context)
-        if self.method in ("least-squares", "gradient", "drem"):
+        if self.method in LINEAR_METHODS:
             return self._on_regression(source, begin, context), {}
         context.add_metadata(name, {"method": self.method})
         if source.observer is None or identified is None:
@@ -439,7 +444,7 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
         problem = ""
         if design.each and self.method != "output-error":
             problem = f"expected terms of one element of delta, got {len(design.each)}"
-        elif self.method in ("least-squares", "gradient", "drem"):
+        elif self.method in LINEAR_METHODS:
             problem = regression.linear_route_problem(design.sizes)
         elif self.method in ("rayleigh", "projection") and not design.is_expanded:
             terms = regression.count_terms(design.sizes)

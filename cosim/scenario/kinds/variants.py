@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Literal, TypeAlias, TypeVar
+from typing import Final, Literal, TypeAlias, TypeVar
 
 from cosim.arrays import NAN
 from cosim.theory.estimators import defaults
@@ -34,6 +34,10 @@ class Variant:
     inputs: frozenset[str] = frozenset()
     needed: tuple[str, ...] = ()
     own: Mapping[str, float] = field(default_factory=dict)
+
+
+# methods whose regression is linear in what they estimate
+LINEAR_METHODS: Final = ("least-squares", "gradient", "drem")
 
 
 def without_default(*keys: str) -> dict[str, float]:
