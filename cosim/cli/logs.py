@@ -70,7 +70,7 @@ def metrics(given: Given) -> None:
 
     The values are bit for bit those of a study with this run.
     """
-    from cosim.log.editing.joining import open_joined
+    from cosim.log.editing.spans import open_joined
     from cosim.report.tables.console import section_tables
     from cosim.studies.metrics import missing_rows, parse_metrics
 
@@ -297,7 +297,7 @@ def cut(given: Given) -> None:
 
     The new log is marked as partial; 'cosim merge' joins such parts.
     """
-    from cosim.log.editing.cutting import cut as cut_log
+    from cosim.log.editing.spans import cut as cut_log
     from cosim.report.tables.logs import ended
 
     span = (given.from_, given.to)
@@ -318,7 +318,7 @@ def merge(given: Given) -> None:
 
     Logs of other runs, overlaps and gaps are refused.
     """
-    from cosim.log.editing.merging import merge as merge_logs
+    from cosim.log.editing.spans import merge as merge_logs
     from cosim.report.tables.logs import ended
 
     print_text(ended(merge_logs(given.logs, given.out, force=given.force)))

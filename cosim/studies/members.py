@@ -23,7 +23,7 @@ from cosim.digests import FileDigests, digest_of
 from cosim.errors import ChangedFileError, Interrupted, LogWriteError, UsageError
 from cosim.files import file_type
 from cosim.fmi.unpacked import UnpackedFmus
-from cosim.log.editing.joining import open_joined
+from cosim.log.editing.spans import open_joined
 from cosim.log.foreign.topics import is_foreign
 from cosim.log.mcap_file.rotation import part_paths
 from cosim.report.comparing import results_of

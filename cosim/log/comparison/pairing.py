@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Matrix, Nanoseconds
 from cosim.core.recorded.joined_rows import numbered_instants
 from cosim.errors import LogError
-from cosim.log.reading.stream import TimedRows
+from cosim.log.reading.rows import TimedRows
 
 MOST_ROWS = 2**24  # of one instant
 

@@ -1,26 +1,55 @@
-"""Everything that a log consists of except rows and messages, to be written to another log."""
+"""A log written from the pieces and messages of other logs."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
-from typing import Final
+from itertools import compress
+from typing import Any, Final, TypeAlias, final
 
 import numpy as np
 from mcap import records
+from mcap.opcode import Opcode
 
+from cosim.arrays import Mask, Nanoseconds
 from cosim.errors import GraphError, LogError
 from cosim.instants import Grid
+from cosim.log.contents.environment import library_name
 from cosim.log.contents.layout import Part, read_part, record_dtype
-from cosim.log.contents.metadata import verify_checksum
-from cosim.log.contents.result import PARTIAL, PARTIAL_STATUS, RESULT, RESULT_FILE
+from cosim.log.contents.metadata import json_table, verify_checksum
+from cosim.log.contents.result import (
+    PARTIAL,
+    PARTIAL_STATUS,
+    RESULT,
+    RESULT_FILE,
+    WHOLE,
+    ResultItems,
+    result_record,
+    span_text,
+)
 from cosim.log.contents.run_start import recorded_start_ns
-from cosim.log.mcap_file.paths import open_file
-from cosim.log.reading.container import MALFORMED
+from cosim.log.mcap_file.chunks import MessageBatch, separate_chunks
+from cosim.log.mcap_file.head import FileHead, attachment_group
+from cosim.log.mcap_file.live_file import LiveFile
+from cosim.log.mcap_file.places import MALFORMED
+from cosim.log.mcap_file.records import record_header
+from cosim.log.mcap_file.summary import RecordGroup
+from cosim.log.mcap_file.unfinished import UnfinishedLog
+from cosim.log.mcap_file.workers import Workers
+from cosim.log.reading.container import Container
+from cosim.log.reading.reader import Log
+from cosim.log.reading.rows import record_times
+from cosim.log.reading.scan import OtherRecord, scan
 
 OF_THE_END: Final = (RESULT, PARTIAL)  # metadata that a part has of its own
+# Returns which messages of a channel are wanted, by their times and records.
+MessageFilter: TypeAlias = Callable[[int, Nanoseconds, list[bytes] | None], Mask]
+
+_LOG_TIME: Final = slice(6, 14)  # of a message record's content
+_GATHERED_BYTES: Final = 2**22
 
 
 @dataclass(frozen=True)
@@ -40,6 +69,37 @@ class LogPieces:
     channels: Sequence[records.Channel]
     metadata: Mapping[str, Mapping[str, str]]
     attachments: Sequence[records.Attachment]
+
+    @staticmethod
+    def of(file: Container) -> LogPieces:
+        """Read the pieces of a file, of those channels whose schemas are there.
+
+        Raises
+        ------
+        LogError
+            If one is damaged, or no channel is of a component.
+        """
+        schemas = file.schemas()
+        channels = [own for own in file.channels().values() if own.schema_id in schemas]
+        used = {channel.schema_id for channel in channels}
+        metadata = {item.name: item.metadata for item in file.metadata()}
+        attachments = [file.attachment(span) for span in file.attachments().values()]
+        pieces = LogPieces(
+            [schema for number, schema in sorted(schemas.items()) if number in used],
+            sorted(channels, key=lambda channel: int(channel.id)),
+            metadata,
+            attachments,
+        )
+        try:
+            has_components = bool(pieces.parts)
+        except (*MALFORMED, GraphError) as error:
+            raise LogError(f"{file.path}: its channels cannot be parsed: {error}") from error
+        if not has_components:
+            raise LogError(
+                f"{file.path}: no intact channel of a component, neither in the head of the file "
+                "nor in its summary, so the rows cannot be interpreted"
+            )
+        return pieces
 
     @cached_property
     def parts(self) -> dict[int, Part]:
@@ -74,18 +134,6 @@ class LogPieces:
         """The communication points of the run."""
         return Grid(self.start_ns, next(iter(self.parts.values())).step_ns)
 
-    def row_after(self, time_ns: int, part: Part) -> int:
-        """Return where a component has its next row [ns]."""
-        return self.grid.stamp(self.grid.number(time_ns) + part.channel.period)
-
-    def steps_to(self, time_ns: int) -> int:
-        """Return the number of the communication step that ends at a time [ns]."""
-        return max(self.grid.number(time_ns), 0)
-
-    def point_before(self, time_ns: int) -> int:
-        """Return the last communication point at or before a time [ns]."""
-        return self.grid.stamp(self.grid.number(time_ns))
-
     @property
     def kept_metadata(self) -> dict[str, Mapping[str, str]]:
         """The metadata that every part of the run has."""
@@ -93,9 +141,9 @@ class LogPieces:
         return {name: self.metadata[name] for name in names}
 
     @property
-    def kept_attachments(self) -> list[records.Attachment]:
+    def kept_attachments(self) -> dict[str, records.Attachment]:
         """The attachments that every part of the run has."""
-        return [item for item in self.attachments if item.name != RESULT_FILE]
+        return {item.name: item for item in self.attachments if item.name != RESULT_FILE}
 
     @property
     def result_file(self) -> bytes | None:
@@ -103,32 +151,188 @@ class LogPieces:
         contents = [item.data for item in self.attachments if item.name == RESULT_FILE]
         return contents[-1] if contents else None
 
+    def end_of(self, status: str, reason: str, last_row_ns: int) -> ResultItems:
+        """Return how a part ends, which has rows up to an instant [ns]."""
+        steps = max(self.grid.number(last_row_ns), 0)
+        return {"status": status, "reason": reason, "steps": steps, "end_ns": last_row_ns}
 
-def read_pieces(path: Path) -> LogPieces:
-    """Read the pieces of a log that can be opened.
+    def end_of_span(self, first_row_ns: int, last_row_ns: int) -> ResultItems:
+        """Return how a part ends that has the rows of a span of time [ns]."""
+        reason = f"the part {span_text(first_row_ns, last_row_ns)}"
+        return self.end_of(PARTIAL_STATUS, reason, last_row_ns)
+
+
+def write_log(
+    target: UnfinishedLog,
+    pieces: LogPieces,
+    batches: Iterable[list[MessageBatch]],
+    end: Callable[[str], ResultItems],
+) -> Log:
+    """Write a log, and return it.
+
+    Where its rows turn out to be all those of the run, it ends as that did.
+
+    Parameters
+    ----------
+    target : UnfinishedLog
+    pieces : LogPieces
+    batches : iterable of list of MessageBatch
+    end : callable
+        Is called with the content hash when all messages are written; returns how a part ends.
 
     Raises
     ------
     LogError
-        If it is damaged, or has no summary.
+        If a file exists there and is to stay, or it cannot be written.
     """
-    from mcap.reader import make_reader  # loads every compressor
-
+    target.check_free()
+    head = FileHead(library=library_name())
+    head.copy(pieces.schemas, pieces.channels)
+    for name, items in pieces.kept_metadata.items():
+        head.metadata(name, dict(items))
+    for item in pieces.kept_attachments.values():
+        head.attachment(item.name, item.media_type, item.data)
     try:
-        with open_file(path) as stream:
-            reader = make_reader(stream, validate_crcs=True)
-            summary = reader.get_summary()
-            if summary is None:
-                raise LogError(f"{path} has no summary; 'cosim recover' writes a log that has one")
-            metadata = {item.name: item.metadata for item in reader.iter_metadata()}
-            attachments = list(reader.iter_attachments())
-            pieces = LogPieces(
-                list(summary.schemas.values()),
-                list(summary.channels.values()),
-                metadata,
-                attachments,
+        file = LiveFile(target.create(), head.data, head.summary())
+        with closing(Workers()) as workers:
+            for group in batches:
+                file.commit(separate_chunks(group, "zstd", workers))
+        file.keep_tail()
+        content_hash = Log(target.path, target.own).content_hash()
+        for group_of_end in _end_groups(pieces, end(content_hash), content_hash):
+            file.commit(group_of_end)
+        file.close()
+        target.publish()
+        return Log(target.path, target.own)
+    except OSError as error:
+        raise LogError(f"{target.path} cannot be written: {error.strerror or error}") from error
+    finally:
+        target.discard()
+
+
+def _end_groups(pieces: LogPieces, end: ResultItems, content_hash: str) -> list[RecordGroup]:
+    """Return the records that tell of the end: those of the run, where all its rows are here."""
+    of_run = pieces.run_result
+    is_part = PARTIAL in pieces.metadata
+    values = _values(pieces.result_file)
+    if of_run.get("content_hash") == content_hash:
+        text = pieces.result_file
+        if text is None or is_part:
+            whole = values.get(WHOLE)
+            numbers = {key: int(text) for key, text in of_run.items() if _is_count(key, text)}
+            text = _json({**(whole if isinstance(whole, dict) else values), **of_run, **numbers})
+        return [
+            result_record(RESULT, of_run),
+            attachment_group(RESULT_FILE, "application/json", text),
+        ]
+    items = {**end, "content_hash": content_hash}
+    groups = [result_record(RESULT, items)]
+    if of_run:
+        groups.append(result_record(PARTIAL, of_run))
+    if not is_part:  # they are of the whole run, whose last row is another one
+        values = {WHOLE: values} if of_run and values else {}
+    groups.append(attachment_group(RESULT_FILE, "application/json", _json({**values, **items})))
+    return groups
+
+
+def _is_count(key: str, text: str) -> bool:
+    return key in ("steps", "end_ns") and text.isdecimal()
+
+
+def _values(result_file: bytes | None) -> dict[str, Any]:
+    """Return the content of a result file; where it cannot be read nothing, which loses no row."""
+    try:
+        return {} if result_file is None else json_table(result_file)
+    except ValueError:
+        return {}
+
+
+def _json(items: Mapping[str, Any]) -> bytes:
+    return json.dumps(items, indent=2).encode()
+
+
+# --- messages ---
+
+
+def gathered(
+    blocks: Iterable[bytes | memoryview],
+    dtypes: Mapping[int, np.dtype[np.void]],
+    wanted: MessageFilter,
+) -> Iterator[list[MessageBatch]]:
+    """Yield the wanted messages of chunks, one batch a channel, many chunks at a time.
+
+    Parameters
+    ----------
+    blocks : iterable of bytes or memoryview
+        The records of chunks.
+    dtypes : mapping of channel id to dtype
+        Of the rows of components.
+    wanted : callable
+        Is asked once for every run of messages of a channel, in the order of the file; the records
+        are None for rows.
+
+    Raises
+    ------
+    ValueError
+        If a block is not a sequence of records.
+    """
+    waiting = _Waiting()
+    for block in blocks:
+        others: dict[int, list[bytes]] = {}
+        for item in scan(block, dtypes):
+            if isinstance(item, OtherRecord):
+                if item.opcode == Opcode.MESSAGE:
+                    others.setdefault(item.channel_id, []).append(item.content)
+                continue
+            number, rows = item
+            time_ns = record_times(rows)
+            kept = wanted(number, time_ns, None)
+            if not kept.all():
+                rows = rows[kept]
+                time_ns = time_ns[kept]
+            if len(rows):
+                sizes = np.full(len(rows), rows.itemsize, np.int64)
+                waiting.add(number, rows.tobytes(), time_ns, sizes)
+        for number, contents in others.items():
+            times = [int.from_bytes(content[_LOG_TIME], "little") for content in contents]
+            kept = wanted(number, np.array(times, np.int64), contents)
+            waiting.add_others(number, list(compress(contents, kept)), list(compress(times, kept)))
+        if waiting.size >= _GATHERED_BYTES:
+            yield waiting.take()
+    if waiting.size:
+        yield waiting.take()
+
+
+@final
+class _Waiting:
+    """Message records by channel."""
+
+    def __init__(self) -> None:
+        self.size = 0  # bytes
+        self._parts: dict[int, list[tuple[bytes, Nanoseconds, Nanoseconds]]] = {}
+
+    def add(self, number: int, data: bytes, time_ns: Nanoseconds, sizes: Nanoseconds) -> None:
+        """Add records of a channel, with their times [ns] and sizes [bytes]."""
+        self._parts.setdefault(number, []).append((data, time_ns, sizes))
+        self.size += len(data)
+
+    def add_others(self, number: int, contents: list[bytes], times: list[int]) -> None:
+        """Add messages that are not rows."""
+        messages = [record_header(Opcode.MESSAGE, len(own)) + own for own in contents]
+        if messages:
+            sizes = np.array([len(message) for message in messages], np.int64)
+            self.add(number, b"".join(messages), np.array(times, np.int64), sizes)
+
+    def take(self) -> list[MessageBatch]:
+        """Return all that is here."""
+        batches = []
+        for number, parts in self._parts.items():
+            data = b"".join(part for part, _, _ in parts)
+            time_ns = np.concatenate([times for _, times, _ in parts])
+            sizes = np.concatenate([own for _, _, own in parts])
+            batches.append(
+                MessageBatch(number, memoryview(data), time_ns, np.cumsum(sizes) - sizes)
             )
-            assert pieces.parts
-    except (*MALFORMED, GraphError) as error:
-        raise LogError(f"{path} is damaged: {error}") from error
-    return pieces
+        self._parts = {}
+        self.size = 0
+        return batches

@@ -1,4 +1,7 @@
-"""Write what is intact in a damaged log to a new log."""
+"""What is intact in a damaged log, written to a new log, and which rows are lost.
+
+Rows that are found twice are recognized by their times.
+"""
 
 from __future__ import annotations
 
@@ -12,18 +15,71 @@ import numpy as np
 
 from cosim.arrays import Mask, Nanoseconds
 from cosim.core.recorded.run import SCENARIO_FILE
-from cosim.errors import GraphError, LogError
+from cosim.errors import LogError
 from cosim.instants import NANOSECONDS, Grid
-from cosim.log.contents.result import PARTIAL_STATUS, RESULT
-from cosim.log.editing.batches import gathered
-from cosim.log.editing.copying import PartEnd, write_log
-from cosim.log.editing.lost import RecoveredRows, is_beginning, missing_rows
-from cosim.log.editing.pieces import OF_THE_END, LogPieces
-from cosim.log.editing.salvage import Salvage, intact_blocks, salvage
+from cosim.log.contents.result import PARTIAL_STATUS, RESULT, ResultItems
+from cosim.log.editing.pieces import LogPieces, gathered, write_log
 from cosim.log.mcap_file.paths import log_path
+from cosim.log.mcap_file.places import MALFORMED
 from cosim.log.mcap_file.unfinished import UnfinishedLog
-from cosim.log.reading.container import MALFORMED
+from cosim.log.reading.container import Container
 from cosim.log.reading.reader import Log
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """Rows that are missing, one after the other.
+
+    Parameters
+    ----------
+    first_ns, last_ns : int
+        Instants of the first and the last of them [ns].
+    count : int
+        How many there are.
+    """
+
+    first_ns: int
+    last_ns: int
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class RecoveredRows:
+    """The rows of a component that are there, and the intervals without.
+
+    Parameters
+    ----------
+    count : int
+    lost : tuple of Interval
+    """
+
+    count: int
+    lost: tuple[Interval, ...]
+
+
+def missing_rows(time_ns: Nanoseconds, grid: Grid, period: int, end_ns: int) -> RecoveredRows:
+    """Return which rows of a component are missing up to ``end_ns``.
+
+    Parameters
+    ----------
+    time_ns : Nanoseconds, shape (n,)
+        Of the rows that are there, ascending.
+    grid : Grid
+        The communication points of the run; the first row is at its start.
+    period : int
+        Communication steps between two rows.
+    end_ns : int
+    """
+    # As if there were rows just outside: then every gap is between two.
+    outside = np.array([-1, grid.number(end_ns) // period + 1])
+    bounded = np.insert(outside, 1, grid.number(time_ns) // period)
+    lost = []
+    for gap in np.flatnonzero(np.diff(bounded) > 1).tolist():
+        first = int(bounded[gap]) + 1
+        last = int(bounded[gap + 1]) - 1
+        stamps = (grid.stamp(first * period), grid.stamp(last * period))
+        lost.append(Interval(*stamps, last - first + 1))
+    return RecoveredRows(len(time_ns), tuple(lost))
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,51 +164,21 @@ def recover(path: Path, out: Path, *, force: bool = False) -> RecoveredLog:
     path = log_path(path)
     target = UnfinishedLog(out, force=force)
     target.check_not_read([path])
-    found = salvage(path)
-    declared = _pieces(path, found)
+    file = Container(path, is_damaged=True)
+    declared = LogPieces.of(file)
     pieces = _complete_components(declared)
-    times, counts = _times(path, found, pieces)
+    times, counts = _times(file, pieces)
     if not any(len(time_ns) for time_ns in times.values()):
         raise LogError(f"{path}: no intact row; run it again")
     selection = _Selection(pieces, times)
     rows, end_ns, end_is_known = _missing(declared, times)
     end = _end(path, pieces, rows, times)
-    has_all_messages = _has_all_messages(found, pieces, counts)
+    has_all_messages = _has_all_messages(file, pieces, counts)
     if not has_all_messages:  # without them it is not the log of the run, whatever its hash is
-        kept = {name: items for name, items in pieces.metadata.items() if name not in OF_THE_END}
-        pieces = replace(pieces, metadata=kept)
-    batches = gathered(intact_blocks(path, found), pieces.dtypes, selection.wanted)
+        pieces = replace(pieces, metadata=pieces.kept_metadata)
+    batches = gathered(file.blocks(), pieces.dtypes, selection.wanted)
     log = write_log(target, pieces, batches, lambda _: end)
     return RecoveredLog(log, rows, end_ns, end_is_known, has_all_messages)
-
-
-def _pieces(path: Path, found: Salvage) -> LogPieces:
-    """Return the pieces that are intact, of components that are complete.
-
-    Raises
-    ------
-    LogError
-        If none says what the rows are.
-    """
-    channels = []
-    for channel in found.channels.values():
-        if channel.schema_id in found.schemas:
-            channels.append(channel)
-    channels.sort(key=lambda channel: channel.id)
-    used = {channel.schema_id for channel in channels}
-    schemas = [schema for number, schema in sorted(found.schemas.items()) if number in used]
-    attachments = list(found.attachments.values())
-    pieces = LogPieces(schemas, channels, found.metadata, attachments)
-    try:
-        has_components = bool(pieces.parts)
-    except (*MALFORMED, GraphError) as error:
-        raise LogError(f"{path}: its channels cannot be parsed: {error}") from error
-    if not has_components:
-        raise LogError(
-            f"{path}: no intact channel of a component, neither in the head of the file nor in "
-            "its summary, so the rows cannot be interpreted"
-        )
-    return pieces
 
 
 def _complete_components(pieces: LogPieces) -> LogPieces:
@@ -169,17 +195,18 @@ def _complete_components(pieces: LogPieces) -> LogPieces:
     return replace(pieces, channels=[own for own in pieces.channels if own.id not in lost])
 
 
-def _has_all_messages(found: Salvage, pieces: LogPieces, counts: Mapping[int, int]) -> bool:
+def _has_all_messages(file: Container, pieces: LogPieces, counts: Mapping[int, int]) -> bool:
     """Return whether nothing beside rows is lost, by the statistics of the file."""
-    others = found.counts.keys() - pieces.parts.keys()
-    return bool(found.counts) and all(
-        counts.get(number, 0) >= found.counts[number] for number in others
+    statistics = file.summary.statistics
+    if statistics is None:
+        return False
+    of_file = statistics.channel_message_counts
+    return all(
+        counts.get(number, 0) >= of_file[number] for number in of_file if number not in pieces.parts
     )
 
 
-def _times(
-    path: Path, found: Salvage, pieces: LogPieces
-) -> tuple[dict[str, Nanoseconds], dict[int, int]]:
+def _times(file: Container, pieces: LogPieces) -> tuple[dict[str, Nanoseconds], dict[int, int]]:
     """Return when all parts of a component have rows, by its name, and how many messages there are.
 
     The instants ascend; the messages are those that are not rows, by their channels, each once.
@@ -195,10 +222,10 @@ def _times(
         return np.zeros(len(time_ns), np.bool_)
 
     try:
-        for _ in gathered(intact_blocks(path, found), pieces.dtypes, keep_times):
+        for _ in gathered(file.blocks(), pieces.dtypes, keep_times):
             pass
     except MALFORMED as error:
-        raise LogError(f"{path}: an intact chunk cannot be parsed: {error}") from error
+        raise LogError(f"{file.path}: an intact chunk cannot be parsed: {error}") from error
     times: dict[str, Nanoseconds] = {}
     for number, part in pieces.parts.items():
         own = np.unique(np.concatenate([np.empty(0, np.int64), *known[number]]))
@@ -282,11 +309,10 @@ def _end(
     pieces: LogPieces,
     rows: Mapping[str, RecoveredRows],
     times: Mapping[str, Nanoseconds],
-) -> PartEnd:
+) -> ResultItems:
     """Return how the recovered log ends: a run without holes was interrupted at its last row."""
     last_row = max(int(own[-1]) for own in times.values() if len(own))
     first_row = min(int(own[0]) for own in times.values() if len(own))
-    begins = first_row == pieces.start_ns and is_beginning(rows)
+    begins = first_row == pieces.start_ns and not any(own.lost for own in rows.values())
     status = "interrupted" if begins else PARTIAL_STATUS
-    text = f"recovered from {path.name}"
-    return PartEnd(status, text, pieces.steps_to(last_row), last_row)
+    return pieces.end_of(status, f"recovered from {path.name}", last_row)

@@ -7,23 +7,22 @@ a message that has both it has to be written in quotes.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any, Final
 
 from cosim.errors import nearest
 from cosim.instants import NANOSECONDS
-from cosim.log.foreign.field_path import (
+from cosim.log.foreign.fields import (
     FieldPath,
     FieldProblem,
     Quoted,
+    StampNs,
     Step,
     exact_text,
     parse_path,
     path_text,
 )
-from cosim.log.foreign.values import Picker, StampNs
 
-MOST_LISTED: Final = 10_000  # fields of a message
 _DEEPEST: Final = 50  # levels of objects and lists in which fields are listed
 _STAMPS: Final = (
     ("sec", "nsec"),
@@ -36,28 +35,31 @@ _STAMPS: Final = (
 class JsonFormat:
     """Messages in JSON: objects, arrays of numbers, or numbers."""
 
-    def fields(self, sample: bytes) -> dict[str, str]:
-        """Return the types of the numeric fields of a message."""
-        found: dict[str, str] = {}
+    def fields(self, sample: bytes) -> Iterator[tuple[str, str]]:
+        """Yield names and types of the numeric fields of a message; none where it is empty."""
         if not sample:
-            return found
-        tree = _decoded(sample)
+            return
+        tree = self.decode(sample)
         for path, type_name in _leaves((), tree):
             text = path_text(path)
-            found[text if _is_plain(path, text, tree) else exact_text(path)] = type_name
-            if len(found) == MOST_LISTED:
-                break
-        return found
+            yield text if _is_plain(path, text, tree) else exact_text(path), type_name
 
-    def picker(self, paths: Sequence[FieldPath]) -> Picker:
-        """Return what takes fields out of messages."""
-        wanted = [_Wanted(path) for path in paths]
+    def __init__(self) -> None:
+        self._wanted: dict[FieldPath, _Wanted] = {}
 
-        def pick(data: bytes) -> list[Any]:
-            tree = _decoded(data)
-            return [field.value_in(tree) for field in wanted]
+    def decode(self, data: bytes) -> Any:
+        """Return a message."""
+        try:
+            return json.loads(data)
+        except (ValueError, RecursionError) as error:
+            raise FieldProblem(f"the message is not JSON: {error}") from error
 
-        return pick
+    def value(self, message: Any, path: FieldPath) -> Any:
+        """Return what is at a path; None: the object has no such key, or null."""
+        wanted = self._wanted.get(path)
+        if wanted is None:
+            wanted = self._wanted[path] = _Wanted(path)
+        return wanted.value_in(message)
 
 
 def _is_plain(path: FieldPath, text: str, tree: Any) -> bool:
@@ -66,13 +68,6 @@ def _is_plain(path: FieldPath, text: str, tree: Any) -> bool:
         return [place for place, _ in _Wanted(parse_path(text)).places(tree)] == [path]
     except FieldProblem:
         return False
-
-
-def _decoded(data: bytes) -> Any:
-    try:
-        return json.loads(data)
-    except (ValueError, RecursionError) as error:
-        raise FieldProblem(f"the message is not JSON: {error}") from error
 
 
 def _leaves(path: FieldPath, value: Any) -> Iterator[tuple[FieldPath, str]]:

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from array import array
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -19,11 +20,19 @@ import numpy as np
 from cosim.arrays import NAN, Matrix
 from cosim.errors import LogError, nearest
 from cosim.instants import NANOSECONDS
-from cosim.log.foreign.field_path import FieldProblem, field_text, parse_path, split_field
-from cosim.log.foreign.formats import format_of
+from cosim.log.foreign.fields import (
+    EnumNumber,
+    FieldPath,
+    FieldProblem,
+    field_text,
+    nanoseconds_in,
+    numbers,
+    parse_path,
+    split_field,
+)
+from cosim.log.foreign.formats import MessageFormat, format_of, listed_fields
 from cosim.log.foreign.spacing import Instants, Spacing, spacing_of
 from cosim.log.foreign.topics import ForeignChannel, ForeignMessage, read_channels, read_messages
-from cosim.log.foreign.values import EnumNumber, Picker, nanoseconds_in, numbers
 
 LOG_TIME: Final = "log_time"
 PUBLISH_TIME: Final = "publish_time"
@@ -146,9 +155,9 @@ def _is_discrete(value: Any) -> bool:
 class _Column:
     """What is kept of a field: as many numbers of every message."""
 
-    def __init__(self, field: str, inside: str) -> None:
+    def __init__(self, field: str, path: FieldPath) -> None:
         self.field = field
-        self.inside = inside
+        self.path = path
         self.size: int | None = None
         self._numbers = array("d")
         self._before = 0  # messages before the first that had it
@@ -201,42 +210,53 @@ class _Collector:
         self._time_unit_ns = time_unit_ns
         self._columns: list[_Column] = []
         self._stamps = array("q")
-        self._picks: dict[int, Picker] = {}
+        self._formats: dict[int, MessageFormat] = {}
+        self._time_path: FieldPath = ()
 
     def add_field(self, field: str, inside: str) -> None:
-        """Add a field of the topic that is kept, by its name and the path in the messages."""
-        self._columns.append(_Column(field, inside))
-
-    def begin(self) -> None:
-        """Find the fields in the messages, as far as their schema tells.
+        """Add a field of the topic that is kept, by its name and the path in the messages.
 
         Raises
         ------
         LogError
-            If one is not there, or the messages cannot be decoded.
+            If it is none.
         """
-        self._picker_of(self._channels[0])
+        with self._naming(field):
+            path = parse_path(inside)
+            if self._channels[0].encoding != "json" and not (path and isinstance(path[0], str)):
+                raise FieldProblem(f"expected {self._topic}.FIELD")
+        self._columns.append(_Column(field, path))
 
-    def _picker_of(self, channel: ForeignChannel) -> Picker:
-        """Return what takes the fields, and the time, out of the messages of a channel."""
-        paths = []
-        name = self._topic
+    def begin(self) -> None:
+        """Check that the messages can be decoded.
+
+        Raises
+        ------
+        LogError
+            If nothing here does that.
+        """
+        if self._is_field_time:
+            with self._naming(f"{self._topic}.{self._time}"):
+                self._time_path = parse_path(self._time)
+        self._format_of(self._channels[0])
+
+    @contextmanager
+    def _naming(self, name: str) -> Iterator[None]:
+        """Name the file and a field in what is wrong with it."""
         try:
-            message_format = format_of(channel)
-            for column in self._columns:
-                name = column.field
-                path = parse_path(column.inside)
-                if channel.encoding != "json" and not (path and isinstance(path[0], str)):
-                    raise FieldProblem(f"expected {self._topic}.FIELD")
-                paths.append(path)
-                message_format.picker(paths[-1:])
-            if self._is_field_time:
-                name = f"{self._topic}.{self._time}"
-                paths.append(parse_path(self._time))
-            return message_format.picker(paths)
+            yield
         except FieldProblem as error:
-            of_schema = f"schema {_schema_text(channel)}: " if len(self._channels) > 1 else ""
-            raise LogError(f"{self._path}: {name!r}: {of_schema}{error}") from error
+            raise LogError(f"{self._path}: {name!r}: {error}") from error
+
+    def _format_of(self, channel: ForeignChannel) -> MessageFormat:
+        """Return how the messages of a channel are decoded."""
+        found = self._formats.get(channel.id)
+        if found is None:
+            if channel not in self._channels:  # a summary need not list every channel
+                self._channels.append(channel)
+            with self._naming(self._columns[-1].field):
+                found = self._formats[channel.id] = format_of(channel)
+        return found
 
     @property
     def _is_field_time(self) -> bool:
@@ -251,26 +271,25 @@ class _Collector:
             If one is not there, or not a number; names the message.
         """
         name = self._topic
-        pick = self._picks.get(message.channel.id)
-        if pick is None:
-            if message.channel not in self._channels:  # a summary need not list every channel
-                self._channels.append(message.channel)
-            pick = self._picks[message.channel.id] = self._picker_of(message.channel)
+        message_format = self._format_of(message.channel)
         try:
-            values = pick(message.data)
+            decoded = message_format.decode(message.data)
             kept = 1
-            for column, value in zip(self._columns, values, strict=False):
+            for column in self._columns:
                 name = column.field
-                kept += column.add(value)
+                kept += column.add(message_format.value(decoded, column.path))
             if self._is_field_time:
                 name = f"{self._topic}.{self._time}"
-                stamp = nanoseconds_in(values[-1], self._time_unit_ns)
+                value = message_format.value(decoded, self._time_path)
+                stamp = nanoseconds_in(value, self._time_unit_ns)
             else:
                 is_log_time = self._time == LOG_TIME
                 stamp = message.log_time if is_log_time else message.publish_time
             self._stamps.append(stamp)
         except FieldProblem as error:
-            raise self._message_error(name, str(error)) from error
+            of_schema = f"schema {_schema_text(message.channel)}: "
+            reason = f"{of_schema if len(self._channels) > 1 else ''}{error}"
+            raise self._message_error(name, reason) from error
         except OverflowError:
             reason = f"expected a time below 2**63 ns (year 2262), got {stamp} ns"
             raise self._message_error(self._topic, reason) from None
@@ -314,7 +333,7 @@ class _Collector:
         if column.size == 0:
             return f"{text}expected numbers, got no elements"
         for message in read_messages(self._path, lambda channel: channel.topic == self._topic):
-            fields = format_of(message.channel).fields(message.data)
+            fields = listed_fields(message.channel, message.data)
             names = [field_text(self._topic, name) for name in fields]
             return f"{text}no message has this field; {nearest(column.field, names)}"
         raise AssertionError("there are messages, or nothing would be asked of them")

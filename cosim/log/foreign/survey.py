@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from cosim.errors import LogError
-from cosim.log.foreign.field_path import FieldProblem, field_text
-from cosim.log.foreign.formats import format_of
+from cosim.log.foreign.fields import FieldProblem, field_text
+from cosim.log.foreign.formats import listed_fields
 from cosim.log.foreign.spacing import Spacing, spacing_of
 from cosim.log.foreign.topics import ForeignChannel, read_channels, read_messages
 
@@ -92,7 +92,7 @@ def _surveyed(messages: _KeptMessages, names: Collection[str]) -> TopicSurvey:
     fields: dict[str, str] = {}
     problem = ""
     try:
-        for name, type_name in format_of(channel).fields(messages.first).items():
+        for name, type_name in listed_fields(channel, messages.first).items():
             fields[field_text(channel.topic, name, names)] = type_name
     except FieldProblem as error:
         problem = str(error)

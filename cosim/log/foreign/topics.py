@@ -2,30 +2,29 @@
 
 from __future__ import annotations
 
-import io
-import os
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, Final, NamedTuple
+from typing import Final, NamedTuple
 
-from isal import isal_zlib
 from mcap import records
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 
 from cosim.errors import LogError
-from cosim.log.foreign.record_stream import check_magic, read_records, records_in
-from cosim.log.mcap_file.compression import MOST_BYTES
 from cosim.log.mcap_file.paths import open_file
-from cosim.log.mcap_file.records import FOOTER_SIZE, HEADER, MAGIC
+from cosim.log.mcap_file.places import (
+    MALFORMED,
+    OWN_LIBRARY,
+    library_of,
+    parsed,
+    read_summary,
+    records_in,
+)
+from cosim.log.reading.container import Container
 
-OWN_LIBRARY: Final = "cosim/"
 OWN_METADATA: Final = "cosim.run"
 _MESSAGE: Final = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-_MALFORMED: Final = (McapError, ValueError, KeyError, TypeError, OverflowError, struct.error)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,47 +65,47 @@ class ForeignMessage(NamedTuple):
 
 
 class _ChannelTable:
-    """Schemas and channels as they are read, each id with one meaning."""
+    """Schemas and channels of a file, each id with one meaning.
 
-    def __init__(self, path: Path) -> None:
+    Raises
+    ------
+    LogError
+        If one is damaged, or has the id of another one.
+    """
+
+    def __init__(self, file: Container) -> None:
         self.channels: dict[int, ForeignChannel] = {}
-        self._path = path
+        self._path = file.path
         self._schemas: dict[int, ForeignSchema] = {}
+        for record in (*file.schemas().values(), *file.channels().values()):
+            self._add(record)
 
-    def add(self, opcode: int, content: bytes) -> None:
-        """Take the content of a schema or channel record.
+    def take(self, opcode: int, content: memoryview) -> None:
+        """Take the content of a record that stands among the messages."""
+        kinds = {Opcode.SCHEMA: records.Schema, Opcode.CHANNEL: records.Channel}
+        if opcode in kinds:
+            try:
+                record = parsed(kinds[Opcode(opcode)], content)
+            except MALFORMED as error:
+                reason = f"a schema or channel cannot be read: {error}"
+                raise LogError(f"{self._path} is damaged: {reason}") from error
+            self._add(record)
 
-        Raises
-        ------
-        LogError
-            If it is damaged, or has the id of another one.
-        """
-        stream = _stream_of(content)
-        try:
-            if opcode == Opcode.SCHEMA:
-                self._add_schema(records.Schema.read(stream))
-            else:
-                self._add_channel(records.Channel.read(stream))
-        except _MALFORMED as error:
-            reason = f"a schema or channel cannot be read: {error}"
-            raise LogError(f"{self._path} is damaged: {reason}") from error
-
-    def _add_schema(self, record: records.Schema) -> None:
-        schema = ForeignSchema(record.name, record.encoding, bytes(record.data))
-        known = self._schemas.setdefault(record.id, schema)
-        if known != schema:
-            raise ValueError(f"schema {record.id} is defined twice")
-
-    def _add_channel(self, record: records.Channel) -> None:
-        schema = None
-        if record.schema_id:
-            if record.schema_id not in self._schemas:
-                raise ValueError(f"there is no schema {record.schema_id} of {record.topic!r}")
-            schema = self._schemas[record.schema_id]
-        channel = ForeignChannel(record.id, record.topic, record.message_encoding, schema)
-        known = self.channels.setdefault(record.id, channel)
-        if known != channel:
-            raise ValueError(f"channel {record.id} is defined twice")
+    def _add(self, record: records.Schema | records.Channel) -> None:
+        problem = ""
+        if isinstance(record, records.Schema):
+            schema = ForeignSchema(record.name, record.encoding, bytes(record.data))
+            if self._schemas.setdefault(record.id, schema) != schema:
+                problem = f"schema {record.id} is defined twice"
+        elif record.schema_id and record.schema_id not in self._schemas:
+            problem = f"there is no schema {record.schema_id} of {record.topic!r}"
+        else:
+            own = self._schemas.get(record.schema_id)
+            channel = ForeignChannel(record.id, record.topic, record.message_encoding, own)
+            if self.channels.setdefault(record.id, channel) != channel:
+                problem = f"channel {record.id} is defined twice"
+        if problem:
+            raise LogError(f"{self._path} is damaged: {problem}")
 
 
 def read_channels(path: Path) -> list[ForeignChannel]:
@@ -117,21 +116,7 @@ def read_channels(path: Path) -> list[ForeignChannel]:
     LogError
         If it cannot be read, is not MCAP, truncated or damaged.
     """
-    table = _ChannelTable(path)
-    try:
-        with open_file(path) as stream:
-            check_magic(path, stream, os.fstat(stream.fileno()).st_size)
-            for opcode, content in _summary_records(stream):
-                if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    table.add(opcode, content)
-    except (LogError, *_MALFORMED):
-        table = _ChannelTable(path)  # the data say what is wrong, or are right without it
-    if not table.channels:
-        with open_file(path) as stream:
-            for opcode, block, begin, stop in read_records(path, stream):
-                if opcode != Opcode.MESSAGE:
-                    table.add(opcode, block[begin:stop])
-    return list(table.channels.values())
+    return list(_ChannelTable(Container(path)).channels.values())
 
 
 def is_foreign(path: Path) -> bool:
@@ -141,29 +126,13 @@ def is_foreign(path: Path) -> bool:
     """
     try:
         with open_file(path) as stream:
-            check_magic(path, stream, os.fstat(stream.fileno()).st_size)
-            if _library(stream).startswith(OWN_LIBRARY):
+            library = library_of(stream)
+            if library is None or library.startswith(OWN_LIBRARY):
                 return False
-            for opcode, content in _summary_records(stream):
-                if opcode == Opcode.METADATA_INDEX:
-                    index = records.MetadataIndex.read(_stream_of(content))
-                    if index.name == OWN_METADATA:
-                        return False
-    except (LogError, OSError, *_MALFORMED):
+            indexes = read_summary(path, stream).metadata_indexes
+            return all(index.name != OWN_METADATA for index in indexes)
+    except (LogError, OSError):
         return False  # whoever reads it says what is wrong
-    return True
-
-
-def _library(stream: BinaryIO) -> str:
-    """Return what wrote a file, by the record after its first bytes."""
-    opcode, length = struct.unpack("<BQ", stream.read(HEADER))
-    if opcode != Opcode.HEADER or length > MOST_BYTES:
-        raise ValueError("the file does not begin with a header")
-    return str(records.Header.read(_stream_of(stream.read(length))).library)
-
-
-def _stream_of(content: bytes) -> ReadDataStream:
-    return ReadDataStream(io.BytesIO(content))
 
 
 def read_messages(
@@ -180,51 +149,24 @@ def read_messages(
     LogError
         If the file cannot be read, is not MCAP, truncated or damaged.
     """
-    table = _ChannelTable(path)
+    file = Container(path)
+    table = _ChannelTable(file)
     is_wanted: dict[int, bool] = {}
-    with open_file(path) as stream:
-        for opcode, block, begin, stop in read_records(path, stream):
-            if opcode != Opcode.MESSAGE:
-                table.add(opcode, block[begin:stop])
-                continue
-            if stop - begin < _MESSAGE.size:
-                raise LogError(f"{path} is damaged: a message of {stop - begin} bytes")
-            number, _, log_time, publish_time = _MESSAGE.unpack_from(block, begin)
-            if number not in is_wanted:
-                if number not in table.channels:
-                    raise LogError(
-                        f"{path} is damaged: a message of the undeclared channel {number}"
-                    )
-                is_wanted[number] = wanted(table.channels[number])
-            if not is_wanted[number]:
-                if skipped is not None:
+    try:
+        for block in file.blocks():
+            for opcode, begin, stop in records_in(block):
+                if opcode != Opcode.MESSAGE:
+                    table.take(opcode, block[begin:stop])
+                    continue
+                number, _, log_time, publish_time = _MESSAGE.unpack_from(block, begin)
+                if number not in is_wanted:
+                    if number not in table.channels:
+                        raise ValueError(f"a message of the undeclared channel {number}")
+                    is_wanted[number] = wanted(table.channels[number])
+                if is_wanted[number]:
+                    data = bytes(block[begin + _MESSAGE.size : stop])
+                    yield ForeignMessage(table.channels[number], log_time, publish_time, data)
+                elif skipped is not None:
                     skipped(log_time, publish_time)
-            else:
-                data = block[begin + _MESSAGE.size : stop]
-                yield ForeignMessage(table.channels[number], log_time, publish_time, data)
-
-
-def _summary_records(stream: BinaryIO) -> list[tuple[int, bytes]]:
-    """Return opcode and content of the records in the summary; none where there is no summary.
-
-    Raises
-    ------
-    ValueError, struct.error
-        If it is damaged.
-    """
-    size = os.fstat(stream.fileno()).st_size
-    footer_start = size - FOOTER_SIZE - len(MAGIC)
-    if footer_start < len(MAGIC):
-        return []
-    stream.seek(footer_start)
-    footer = stream.read(FOOTER_SIZE)
-    start, _, declared = struct.unpack_from("<QQI", footer, HEADER)
-    if footer[0] != Opcode.FOOTER or not start:
-        return []
-    if not len(MAGIC) < start <= footer_start or footer_start - start > MOST_BYTES:
-        raise ValueError(f"invalid start of the summary: byte {start}")
-    stream.seek(start)
-    content = stream.read(footer_start - start)
-    if declared and isal_zlib.crc32(footer[:-4], isal_zlib.crc32(content)) != declared:
-        raise ValueError("the CRC of the summary does not match its content")
-    return [(opcode, content[begin:stop]) for opcode, begin, stop in records_in(content)]
+    except (ValueError, struct.error) as error:
+        raise LogError(f"{path} is damaged: {error}") from error

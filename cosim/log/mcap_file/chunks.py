@@ -1,4 +1,4 @@
-"""Message records as chunks: compressed, with CRC and message indexes, and what the summary needs.
+"""Chunks: message records compressed, with CRC and message indexes, and what the summary needs.
 
 Where a flush has enough rows every channel gets chunks of its own, so that a reader of one
 component reads no other.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from isal import isal_zlib
@@ -17,7 +17,13 @@ from mcap import records
 from mcap.opcode import Opcode
 
 from cosim.arrays import Nanoseconds
-from cosim.log.mcap_file.compression import Compression, compress
+from cosim.log.mcap_file.compression import (
+    MOST_BYTES,
+    Compression,
+    Scratch,
+    compress,
+    decompress_into,
+)
 from cosim.log.mcap_file.records import HEADER, record_header
 from cosim.log.mcap_file.summary import IndexEntry, RecordGroup, placed_entry
 from cosim.log.mcap_file.workers import Workers
@@ -175,3 +181,67 @@ def _message_indexes(batches: Sequence[MessageBatch]) -> list[bytes]:
         indexes.append(header + entries.tobytes())
         batch_start += len(batch.data)
     return indexes
+
+
+# --- reading ---
+
+_CHUNK_HEADER: Final = struct.Struct("<QQQII")  # times, size, CRC, length of the name
+_MOST_NAME: Final = 16  # bytes of a compression's name, more than any that is known has
+CHUNK_HEAD: Final = HEADER + _CHUNK_HEADER.size + _MOST_NAME + 8  # bytes that have what follows
+
+
+class ChunkHeader(NamedTuple):
+    """A chunk's record up to its data, which no CRC covers: what else is known checks it."""
+
+    first_ns: int
+    last_ns: int
+    size: int  # of the records, uncompressed [bytes]
+    crc: int
+    compression: str
+    data_start: int  # from the start of the record
+    data_stop: int
+
+
+def read_chunk_header(record: bytes, size: int) -> ChunkHeader:
+    """Read a chunk up to its data.
+
+    Parameters
+    ----------
+    record : bytes
+        Its first ``CHUNK_HEAD`` bytes at least, as far as it has these.
+    size : int
+        Of the record [bytes].
+
+    Raises
+    ------
+    ValueError, struct.error
+        If the sizes in it do not fit together.
+    """
+    first_ns, last_ns, content_size, crc, name_length = _CHUNK_HEADER.unpack_from(record, HEADER)
+    if name_length > _MOST_NAME:
+        raise ValueError(f"the name of a compression has {name_length} bytes")
+    name_start = HEADER + _CHUNK_HEADER.size
+    name_stop = name_start + name_length
+    compression = record[name_start:name_stop].decode()
+    (length,) = struct.unpack_from("<Q", record, name_stop)
+    data_start = name_stop + 8
+    if data_start + length > size:
+        raise ValueError(f"a chunk declares {length} bytes of data in a record of {size}")
+    if length > MOST_BYTES:
+        raise ValueError(f"a chunk of {length} bytes exceeds the limit of {MOST_BYTES}")
+    return ChunkHeader(
+        first_ns, last_ns, content_size, crc, compression, data_start, data_start + length
+    )
+
+
+def decompressed(record: bytes) -> memoryview:
+    """Return the records of a chunk, checked before and after they are decompressed.
+
+    Raises
+    ------
+    ValueError, struct.error
+        If they are too many, damaged, or compressed by something unknown.
+    """
+    header = read_chunk_header(record, len(record))
+    data = record[header.data_start : header.data_stop]
+    return decompress_into(Scratch(), data, header.compression, size=header.size, crc=header.crc)

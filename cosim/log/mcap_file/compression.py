@@ -42,11 +42,6 @@ class Scratch:
         return self._memory[:size]
 
 
-def decompress(data: bytes, compression: str, *, size: int, crc: int) -> bytes:
-    """Decompress a chunk's records and check them, as :func:`decompress_into` does."""
-    return bytes(decompress_into(Scratch(), data, compression, size=size, crc=crc))
-
-
 def decompress_into(
     scratch: Scratch, data: bytes | memoryview, compression: str, *, size: int, crc: int
 ) -> memoryview:

@@ -10,7 +10,7 @@ from mcap import records
 from cosim.core.signals import Channel
 from cosim.errors import GraphError, LogError, option
 from cosim.log.contents.layout import Part, read_part
-from cosim.log.reading.container import MALFORMED
+from cosim.log.mcap_file.places import MALFORMED
 
 
 def read_parts(path: Path, channels: Mapping[int, records.Channel]) -> dict[int, Part]:

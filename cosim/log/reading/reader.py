@@ -43,10 +43,10 @@ from cosim.log.contents.run_start import recorded_start_ns
 from cosim.log.contents.signal_hashes import hash_signals
 from cosim.log.mcap_file.own_file import OwnFile
 from cosim.log.mcap_file.paths import log_path
-from cosim.log.reading.container import MALFORMED, Container
+from cosim.log.mcap_file.places import MALFORMED
+from cosim.log.reading.container import Container
 from cosim.log.reading.declarations import read_channels, read_parts
-from cosim.log.reading.rows import LogRows
-from cosim.log.reading.stream import TimedRows
+from cosim.log.reading.rows import LogRows, TimedRows
 
 _LOG_TIME = slice(6, 14)  # of a message record's content
 _DATA = slice(22, None)
@@ -152,7 +152,7 @@ class Log(RecordedRun):
     @property
     def _is_unfinished(self) -> bool:
         """Whether the run has recorded no end; on a full disk only the file may have none."""
-        return self._file.is_unfinished and RESULT not in self._metadata
+        return self._file.places.is_unfinished and RESULT not in self._metadata
 
     @property
     def reason(self) -> str:
@@ -386,8 +386,8 @@ class Log(RecordedRun):
             If the file is damaged.
         """
         find_channel(self._channels, component, source=str(self.path))
-        blocks = self._rows.blocks(component, first_ns=first_ns, last_ns=last_ns)
-        yield from blocks_within(blocks, first_ns, last_ns)
+        for _, time_ns, rows in self.blocks_of([component], first_ns=first_ns, last_ns=last_ns):
+            yield time_ns, rows
 
     def blocks_of(
         self,
@@ -409,7 +409,7 @@ class Log(RecordedRun):
         """
         for name in components:
             find_channel(self._channels, name, source=str(self.path))
-        for name, time_ns, rows in self._rows.blocks_of(components, first_ns, last_ns):
+        for name, time_ns, rows in self._rows.blocks(components, first_ns, last_ns):
             for part in blocks_within(iter([(time_ns, rows)]), first_ns, last_ns):
                 yield name, *part
 
@@ -454,7 +454,7 @@ class Log(RecordedRun):
         if not isinstance(name, str) or name not in self._attachments:
             nearest_names = nearest(str(name), self._attachments)
             raise LogError(f"{self.path} has no attachment {name!r}; {nearest_names}")
-        return self._file.attachment(self._attachments[name])
+        return bytes(self._file.attachment(self._attachments[name]).data)
 
     def messages(self) -> list[RunMessage]:
         """Return the messages of the run and its components, in the order of time.
@@ -568,7 +568,7 @@ class Log(RecordedRun):
         channel_ids = self._channels_of(topic)
         if not channel_ids:
             return
-        for record in self._rows.other_records(channel_ids, first_ns=first_ns, last_ns=last_ns):
+        for record in self._rows.other_records(channel_ids, first_ns, last_ns):
             if record.opcode == Opcode.MESSAGE and record.channel_id in channel_ids:
                 time_ns = int.from_bytes(record.content[_LOG_TIME], "little")
                 yield time_ns, bytes(record.content[_DATA])

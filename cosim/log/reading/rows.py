@@ -1,52 +1,52 @@
-"""The rows of a log file, read in passes over it, chunk by chunk, with every CRC checked."""
+"""The rows of a log file: one pass over its chunks, from which everything else is made.
+
+A pass reads some columns of some components in a span of time, chunk by chunk, with every CRC
+checked. Blocks are its pieces as they come; arrays are its pieces joined and, where another tool
+has reordered messages, sorted. Of a component with many rows only what is asked for is kept.
+"""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Final, NamedTuple, final
+from typing import Final, NamedTuple, TypeAlias, final
 
 import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Channel as DeclaredChannel
 
-from cosim.arrays import Matrix, Nanoseconds, read_only
+from cosim.arrays import Matrix, Nanoseconds
+from cosim.core.clock import LARGEST_NS
 from cosim.core.signals import Channel
 from cosim.errors import LogError
+from cosim.instants import NANOSECONDS, Grid
 from cosim.log.contents.content import combine_hashes, hash_input
 from cosim.log.contents.layout import Part, Records, copy_columns, record_dtype
-from cosim.log.reading.columns import SignalRows
-from cosim.log.reading.container import MALFORMED, Container
+from cosim.log.mcap_file.places import MALFORMED
+from cosim.log.reading.container import Container
 from cosim.log.reading.scan import OtherRecord, scan
-from cosim.log.reading.stream import RowStream, TimedRows, check_grid, record_times
 
-_DOUBLE_BYTES = 8
-_MOST_AHEAD = 2**26  # bytes of rows that are read ahead, or that a block has
-_ALWAYS_AHEAD = 2**24  # bytes of rows that every pass reads: little beside what a pass costs
-_MOST_WHOLE = 2**24  # bytes of a component's rows that are read whole where parts would do
-_MOST_KEPT = 2**24  # bytes of rows that are kept where one of their signals is asked for
-_MOST_OF_ALL = 2**26  # bytes of rows that are kept of all components together
-_AHEAD_GROWTH = 64  # components that a pass reads ahead, in units of those of the one before
-_MOST_SORTED = 2**28  # bytes of rows that are sorted in memory to be hashed
+TimedRows: TypeAlias = tuple[Nanoseconds, Matrix]  # shapes (n,) and (n, width)
+
+_DOUBLE_BYTES: Final = 8
+_ROWS: Final = 2**15  # that are converted at a time
+_MOST_KEPT: Final = 2**24  # bytes of rows that are kept where one of their signals is asked for
+_MOST_WHOLE: Final = 2**26  # bytes of rows that are kept, or read as a whole where blocks would do
+_MOST_SORTED: Final = 2**28  # the same of files of other tools, whose rows may be in any order
+_MOST_PENDING: Final = 2**26  # bytes of one part's rows that wait for those of another
+_FIRST_ROWS: Final = 1024
 
 
-class _Window(NamedTuple):
+class _Span(NamedTuple):
     """Rows in ``first_ns <= time <= last_ns`` [ns]; None: from the first on, up to the last."""
 
     first_ns: int | None = None
     last_ns: int | None = None
 
-    @property
-    def is_whole(self) -> bool:
-        return self.first_ns is None and self.last_ns is None
-
     def of(self, records: Records) -> Records:
-        """Return the records in it.
-
-        The parts of a component may have chunks of other lengths: here their rows are the same.
-        """
+        """Return the records in it."""
         if self.first_ns is not None:
             records = records[records["log_time"] >= max(self.first_ns, 0)]
         if self.last_ns is not None:
@@ -54,7 +54,7 @@ class _Window(NamedTuple):
         return records
 
 
-_WHOLE: Final = _Window()
+_WHOLE: Final = _Span()
 
 
 @final
@@ -88,117 +88,131 @@ class LogRows:
         self._declared = declared
         self._parts = parts
         self._channels = channels
-        self._rows: dict[str, TimedRows] = {}  # read by load
-        self._kept: dict[str, TimedRows] = {}  # asked for, the last one behind all others
-        self._kept_bytes = 0
-        self._ahead: dict[str, TimedRows] = {}  # read together with the last one asked for
-        self._passes = 0
+        self._loaded: dict[str, TimedRows] = {}
+        self._kept: dict[str, TimedRows] = {}  # the one that was asked for last behind all others
 
-    def of(self, component: str) -> TimedRows:
-        """Return times and rows of a component; keep those that were asked for last."""
-        if component in self._rows:
-            return self._rows[component]
-        rows = self._kept.pop(component, None)
-        if rows is None:
-            rows = self._read_ahead(component)
-            self._kept_bytes += _bytes_of(rows)
-        self._kept[component] = rows  # as the last one
-        while self._kept_bytes > _MOST_OF_ALL and len(self._kept) > 1:
-            oldest = next(iter(self._kept))
-            self._kept_bytes -= _bytes_of(self._kept.pop(oldest))
-        return rows
-
-    def times(self, component: str) -> Nanoseconds:
-        """Return the times of a component's rows; of one with many nothing else is kept."""
-        if not self._is_small(component):
-            streams = self._streams([component])
-            times = [np.empty(0, np.int64)]
-            times += [time_ns for _, time_ns, _ in self._streamed(streams)]
-            if streams[component].ordered:
-                joined = np.concatenate(times)
-                joined.setflags(write=False)
-                return joined
-        return self.of(component)[0]
-
-    def columns(self, component: str, columns: slice) -> Matrix:
-        """Return some columns of a component's rows; of one with many nothing else is kept."""
-        if not self._is_small(component):
-            for number, part in self._parts_of[component].items():
-                if part.columns.start <= columns.start and columns.stop <= part.columns.stop:
-                    values = self._read_columns(number, columns)
-                    if values is not None:
-                        return values
-        return self.of(component)[1][:, columns]
-
-    def blocks(
-        self, component: str, *, first_ns: int | None = None, last_ns: int | None = None
-    ) -> Iterator[TimedRows]:
-        """Yield times and rows of a component; nothing is kept.
-
-        Chunks without rows in ``first_ns <= time <= last_ns`` are not read. Of few rows all are
-        read at once, and may be in any order in the file.
-        """
-        window = _Window(first_ns, last_ns)
-        if component in self._rows or component in self._kept:
-            yield self.of(component)
-        elif self._row_bytes(component) > self._most_whole:
-            yield from self._stream(component, window)
-        elif window.is_whole:
-            yield self._read_ahead(component)
-        else:
-            yield self._read_rows([component], window)[component]
-
-    def blocks_of(
-        self, components: Sequence[str], first_ns: int | None, last_ns: int | None
-    ) -> Iterator[tuple[str, Nanoseconds, Matrix]]:
-        """Yield names, times and rows of components in one pass over their chunks.
-
-        Of few rows all are read at once, and may be in any order in the file.
-        """
-        window = _Window(first_ns, last_ns)
-        size = sum(self._row_bytes(name) for name in components)
-        if size <= self._most_whole:
-            whole = self._read_rows(components, window)
-            for name, (time_ns, rows) in whole.items():
-                yield name, time_ns, rows
-            return
-        streams = self._streams(components)
-        yield from self._streamed(streams, window)
-        for name, stream in streams.items():
-            if not stream.ordered:
-                raise self._unordered(name)
-
-    @property
-    def row_bytes(self) -> int:
-        """The memory that the rows of all components take, as doubles [bytes]."""
-        return sum(self._row_bytes(name) for name in self._channels)
-
-    def shares_chunks(self, component: str) -> bool:
-        """Return whether rows of other components are in most of the chunks of a component."""
-        own = self._parts_of[component].keys()
-        return bool((self._file.shared_with(own) - own) & self._parts.keys())
+    # --- arrays ---
 
     def load(self, components: Sequence[str]) -> None:
         """Read several components in one pass over the file; none named: all."""
         wanted = components or tuple(self._channels)
-        missing = [name for name in dict.fromkeys(wanted) if name not in self._rows]
-        self._rows.update(self._read_rows(missing))
+        self._loaded |= self._arrays({name: None for name in wanted if name not in self._loaded})
 
-    def other_records(
-        self,
-        channel_ids: Collection[int],
-        *,
-        first_ns: int | None = None,
-        last_ns: int | None = None,
-    ) -> Iterator[OtherRecord]:
-        """Yield the records of some channels that are not rows of a component.
+    def of(self, component: str) -> TimedRows:
+        """Return times and rows of a component; keep those that were asked for last.
 
-        Chunks without messages in ``first_ns <= time <= last_ns`` are not read.
+        Those in the same chunks are read in the same pass, as far as they fit: whoever asks for one
+        component after another needs few passes.
         """
-        for block in self._file.blocks(channel_ids, first_ns=first_ns, last_ns=last_ns):
-            for record in scan(block, self._dtypes):
-                if isinstance(record, OtherRecord):
-                    yield record
+        if component in self._loaded:
+            return self._loaded[component]
+        if component not in self._kept:
+            batch = self._batch(component)
+            self._kept |= self._arrays(dict.fromkeys(batch))
+            size = sum(map(_bytes_of, self._kept.values()))
+            for name in list(self._kept):
+                if size <= _MOST_WHOLE or name in batch:
+                    break
+                size -= _bytes_of(self._kept.pop(name))
+        rows = self._kept[component] = self._kept.pop(component)
+        return rows
+
+    def _batch(self, component: str) -> list[str]:
+        """Return a component, and its neighbours among those in its chunks, as far as they fit."""
+        shared = self._file.shared_with(self._parts_of[component].keys())
+        batch: list[str] = []
+        size = 0
+        for name in self._channels:
+            if name != component and shared.isdisjoint(self._parts_of[name]):
+                continue
+            size += self._row_bytes(name)
+            if size > _MOST_WHOLE and batch:
+                if component in batch:
+                    break
+                batch = []
+                size = self._row_bytes(name)
+            batch.append(name)
+        return batch
+
+    def times(self, component: str) -> Nanoseconds:
+        """Return the times of a component's rows; of one with many nothing else is kept."""
+        return self._some(component, slice(0, 0))[0]
+
+    def columns(self, component: str, columns: slice) -> Matrix:
+        """Return some columns of a component's rows; of one with many nothing else is kept."""
+        return self._some(component, columns)[1]
+
+    def _some(self, component: str, columns: slice) -> TimedRows:
+        is_read = component in self._loaded or component in self._kept
+        if is_read or self._row_bytes(component) <= _MOST_KEPT:
+            times, rows = self.of(component)
+            return times, rows[:, columns]
+        return self._arrays({component: columns})[component]
+
+    def _arrays(
+        self, wanted: Mapping[str, slice | None], span: _Span = _WHOLE
+    ) -> dict[str, TimedRows]:
+        """Return columns of components in order of time, read in one pass; None: all columns."""
+        if not wanted:
+            return {}
+        try:
+            found = {name: self._room(name, columns, span) for name, columns in wanted.items()}
+            for name, times, rows in self._pieces(wanted, span):
+                found[name].append(times, rows)
+            return {name: rows.in_order() for name, rows in found.items()}
+        except MemoryError as error:
+            names = ", ".join(wanted)
+            raise LogError(f"{self.path}: not enough memory for the rows of {names}") from error
+
+    def _room(self, component: str, columns: slice | None, span: _Span) -> _Rows:
+        own = self._channels[component].columns if columns is None else columns
+        expected = 0
+        if span == _WHOLE and self._file.summary.statistics is not None:
+            number = next(iter(self._parts_of[component]))
+            expected = self._file.expected_messages(number, self._dtypes[number].itemsize)
+        return _Rows(expected, own.stop - own.start)
+
+    # --- blocks ---
+
+    def blocks(
+        self, components: Sequence[str], first_ns: int | None, last_ns: int | None
+    ) -> Iterator[tuple[str, Nanoseconds, Matrix]]:
+        """Yield names, times and rows of components in one pass over their chunks.
+
+        Chunks without rows in ``first_ns <= time <= last_ns`` are not read, and nothing is kept.
+        Of few rows all are read at once, and may be in any order in the file.
+        """
+        span = _Span(first_ns, last_ns)
+        wanted: dict[str, slice | None] = dict.fromkeys(components)
+        if len(components) == 1 and (components[0] in self._loaded or components[0] in self._kept):
+            yield components[0], *self.of(components[0])
+        elif sum(map(self._row_bytes, components)) <= self._most_whole:
+            for name, rows in self._arrays(wanted, span).items():
+                yield name, *rows
+        else:
+            yield from self._in_order(wanted, span)
+
+    @property
+    def _most_whole(self) -> int:
+        return _MOST_WHOLE if self._file.places.is_indexed else _MOST_SORTED
+
+    def _in_order(
+        self, wanted: Mapping[str, slice | None], span: _Span
+    ) -> Iterator[tuple[str, Nanoseconds, Matrix]]:
+        """Yield the pieces of a pass; of each component one at least, and all in order of time."""
+        last = dict.fromkeys(wanted, 0)
+        for name in wanted:
+            width = self._channels[name].columns
+            yield name, np.empty(0, np.int64), np.empty((0, width.stop - width.start))
+        for name, times, rows in self._pieces(wanted, span):
+            if int(times[0]) < last[name] or (times[1:] < times[:-1]).any():
+                raise LogError(
+                    f"{self.path}: the rows of {name!r} are not in order of time, and "
+                    f"{self._row_bytes(name)} bytes are too many to sort in memory; sort the file "
+                    "first, with 'mcap sort'"
+                )
+            last[name] = int(times[-1])
+            yield name, times, rows
 
     def content_hash(self) -> str:
         """Compute the hash of every bit of every signal from the rows, in one pass over the file.
@@ -210,224 +224,72 @@ class LogRows:
         LogError
             If the file is damaged, or has too many rows to be sorted.
         """
-        # Rows read for the hash are not kept: a log may be larger than the memory.
         digests = {name: hashlib.sha256() for name in self._channels}
-        unordered = self._hash_ordered(list(self._channels), digests)
-        for name in unordered:
-            size = self._row_bytes(name)
-            if size > _MOST_SORTED:
-                raise self._unordered(name)
-            time_ns, rows = self._read_rows([name])[name]
-            digests[name] = hashlib.sha256(hash_input(time_ns, rows))
+        for name, times, rows in self.blocks(list(digests), None, None):
+            digests[name].update(hash_input(times, rows))
         components = []
         for name, digest in digests.items():
-            components.append((name, self._declaration(name), digest.hexdigest()))
+            # as it was recorded: written anew, it would have what a later version adds to it
+            declared = self._declared[next(iter(self._parts_of[name]))]
+            components.append((name, declared.metadata["cosim.signals"], digest.hexdigest()))
         return combine_hashes(components)
 
-    def _declaration(self, component: str) -> str:
-        """Return the declaration of the signals as it was recorded.
-
-        Written anew, it would have what a later version adds to it.
-        """
-        number = next(iter(self._parts_of[component]))
-        declaration: str = self._declared[number].metadata["cosim.signals"]
-        return declaration
-
-    def _hash_ordered(
-        self, components: Sequence[str], digests: Mapping[str, hashlib._Hash]
-    ) -> list[str]:
-        """Add the rows of components to their hashes; return those with rows out of order."""
-        streams = self._streams(components)
-        for name, time_ns, rows in self._streamed(streams):
-            digests[name].update(hash_input(time_ns, rows))
-        return [name for name, stream in streams.items() if not stream.ordered]
-
     @property
-    def _most_whole(self) -> int:
-        """How many bytes of rows are read whole; more if they may have to be sorted."""
-        return _MOST_WHOLE if self._file.is_indexed else _MOST_AHEAD
+    def row_bytes(self) -> int:
+        """The memory that the rows of all components take, as doubles [bytes]."""
+        return sum(map(self._row_bytes, self._channels))
 
-    def _is_small(self, component: str) -> bool:
-        """Return whether all rows of a component are in memory, or may be at any time."""
-        is_read = component in self._rows or component in self._kept
-        return is_read or self._row_bytes(component) <= _MOST_KEPT
+    def shares_chunks(self, component: str) -> bool:
+        """Return whether rows of other components are in most of the chunks of a component."""
+        own = self._parts_of[component].keys()
+        return bool((self._file.shared_with(own) - own) & self._parts.keys())
 
-    def _read_columns(self, number: int, columns: slice) -> Matrix | None:
-        """Read some columns of a part; None: its rows are not in order of time."""
-        part = self._parts[number]
-        dtype = self._dtypes[number]
-        in_part = slice(columns.start - part.columns.start, columns.stop - part.columns.start)
-        values = np.empty((self._file.expected_messages(number, dtype.itemsize), _size(columns)))
-        count = 0
-        first_ns: int | None = None
-        last_ns = 0
+    # --- the pass ---
+
+    def _pieces(
+        self, wanted: Mapping[str, slice | None], span: _Span
+    ) -> Iterator[tuple[str, Nanoseconds, Matrix]]:
+        """Yield rows as they stand in the file, never none: the parts of a component joined."""
+        joined = {name: _Joined(self._parts_of[name], own) for name, own in wanted.items()}
+        counts = {number: 0 for own in joined.values() for number in own.columns}
         try:
-            for records in self._records_of(number):
-                stop = count + len(records)
-                if stop > len(values):
-                    raise ValueError(f"more rows of {part.channel.name!r} than in its summary")
-                time_ns = record_times(records)
-                first_ns = int(time_ns[0]) if first_ns is None else first_ns
-                check_grid(time_ns, first_ns, part)
-                if int(time_ns[0]) < last_ns or (time_ns[1:] < time_ns[:-1]).any():
-                    return None
-                last_ns = int(time_ns[-1])
-                copy_columns(records, values[count:stop], size=part.size, columns=in_part)
-                count = stop
-            self._check_counts({number: count})
+            for number, records in self._records(counts, span):
+                counts[number] += len(records)
+                name = self._parts[number].channel.name
+                for begin in range(0, len(records), _ROWS):
+                    for times, rows in joined[name].add(number, records[begin : begin + _ROWS]):
+                        yield name, times, rows
+            for own in joined.values():
+                own.check_whole()
+            if span == _WHOLE:
+                self._check_counts(counts)
         except MALFORMED as error:
             raise LogError(f"{self.path} is damaged: {error}") from error
-        return read_only(values[:count])
 
-    def _records_of(self, number: int) -> Iterator[Records]:
-        """Yield the message records of a channel."""
-        for block in self._file.blocks([number]):
+    def _records(self, numbers: Collection[int], span: _Span) -> Iterator[tuple[int, Records]]:
+        """Yield the message records of some channels."""
+        for block in self._file.blocks(numbers, first_ns=span.first_ns, last_ns=span.last_ns):
             for record in scan(block, self._dtypes):
                 if isinstance(record, OtherRecord):
-                    self._check_declared(record)
-                elif record[0] == number:
-                    yield record[1]
+                    # a flipped bit may hide a row in another channel
+                    if record.opcode == Opcode.MESSAGE and record.channel_id not in self._declared:
+                        raise ValueError(f"a message of the undeclared channel {record.channel_id}")
+                elif record[0] in numbers:
+                    records = span.of(record[1])
+                    if len(records):
+                        yield record[0], records
 
-    def _blocks_of(self, components: Iterable[str], window: _Window) -> Iterator[memoryview]:
-        """Yield the chunks that have rows of some components and time."""
-        channel_ids: set[int] = set()
-        for name in components:
-            channel_ids |= self._parts_of[name].keys()
-        yield from self._file.blocks(channel_ids, first_ns=window.first_ns, last_ns=window.last_ns)
+    def other_records(
+        self, numbers: Collection[int], first_ns: int | None = None, last_ns: int | None = None
+    ) -> Iterator[OtherRecord]:
+        """Yield the records in chunks of some channels that are not rows of a component.
 
-    def _stream(self, component: str, window: _Window) -> Iterator[TimedRows]:
-        """Yield the rows of a component in one pass over the file."""
-        streams = self._streams([component])
-        width = self._channels[component].columns
-        yield np.empty(0, np.int64), np.empty((0, width.stop - width.start))
-        for _, time_ns, rows in self._streamed(streams, window):
-            yield time_ns, rows
-        if not streams[component].ordered:
-            raise self._unordered(component)
-
-    def _unordered(self, component: str) -> LogError:
-        size = self._row_bytes(component)
-        return LogError(
-            f"{self.path}: the rows of {component!r} are not in order of time, and {size} bytes "
-            "are too many to sort in memory; sort the file first, with 'mcap sort'"
-        )
-
-    def _streams(self, components: Sequence[str]) -> dict[str, RowStream]:
-        return {name: RowStream(self._parts_of[name]) for name in components}
-
-    def _streamed(
-        self, streams: Mapping[str, RowStream], window: _Window = _WHOLE
-    ) -> Iterator[tuple[str, Nanoseconds, Matrix]]:
-        """Yield the rows of components as they come, in a window of time."""
-        dtypes = self._dtypes
-        try:
-            for block in self._blocks_of(streams, window):
-                for record in scan(block, dtypes):
-                    if isinstance(record, OtherRecord):
-                        self._check_declared(record)
-                        continue
-                    number, records = record
-                    name = self._parts[number].channel.name
-                    if name in streams:
-                        records = window.of(records)
-                        for time_ns, rows in streams[name].append(number, records):
-                            yield name, time_ns, rows
-            for stream in streams.values():
-                stream.finish()
-                if window.is_whole:
-                    self._check_counts(stream.counts)
-        except MALFORMED as error:
-            raise LogError(f"{self.path} is damaged: {error}") from error
-
-    def _read_ahead(self, component: str) -> TimedRows:
-        """Return the rows of a component; read those in the same chunks in the same pass.
-
-        The first pass reads one component, the second 64, those behind it 4096, as far as they
-        fit, and each as many more as are small: whoever asks for one component after another needs
-        few passes, however many there are, and whoever asks for one only reads no other that would
-        take long.
+        Chunks without messages in ``first_ns <= time <= last_ns`` are not read.
         """
-        if component not in self._ahead:
-            names = list(self._channels)
-            first = names.index(component)
-            shared = self._file.shared_with(self._parts_of[component].keys())
-            others = []
-            for name in [*names[first + 1 :], *names[:first]]:
-                if not shared.isdisjoint(self._parts_of[name]):
-                    others.append(name)
-            batch = [component]
-            size = self._row_bytes(component)
-            most_others = _AHEAD_GROWTH ** min(self._passes, 2) - 1
-            for number, name in enumerate(others):
-                size += self._row_bytes(name)
-                if size > (_MOST_AHEAD if number < most_others else _ALWAYS_AHEAD):
-                    break
-                batch.append(name)
-            self._passes += 1
-            self._ahead = {}  # before the others are read
-            self._ahead = self._read_rows(batch)
-        return self._ahead[component]
-
-    def _row_bytes(self, component: str) -> int:
-        """Return the size of a component's rows in memory; the largest possible, if not known."""
-        size = 0
-        for number, part in self._parts_of[component].items():
-            itemsize = self._dtypes[number].itemsize
-            count = self._file.expected_messages(number, itemsize)
-            size += count * (part.size + 1) * _DOUBLE_BYTES
-        return size
-
-    def _read_rows(
-        self, components: Sequence[str], window: _Window = _WHOLE
-    ) -> dict[str, TimedRows]:
-        """Read the rows of some components, in a window of time, in one pass."""
-        if not components:
-            return {}
-        try:
-            parts = self._read_part_rows(components, window)
-            if window.is_whole:
-                self._check_counts({number: rows.count for number, rows in parts.items()})
-            rows = {}
-            for name in components:
-                own_parts = [parts[number] for number in self._parts_of[name]]
-                rows[name] = _side_by_side(own_parts)
-        except MALFORMED as error:
-            raise LogError(f"{self.path} is damaged: {error}") from error
-        except MemoryError as error:
-            names = ", ".join(components)
-            raise LogError(f"{self.path}: not enough memory for the rows of {names}") from error
-        return rows
-
-    def _read_part_rows(self, components: Sequence[str], window: _Window) -> dict[int, SignalRows]:
-        """Read the rows of some components, in a window of time, by channel id."""
-        dtypes = self._dtypes
-        rows: dict[int, SignalRows] = {}
-        has_counts = window.is_whole and self._file.summary.statistics is not None
-        for name in components:
-            for number, part in self._parts_of[name].items():
-                expected = self._file.expected_messages(number, dtypes[number].itemsize)
-                rows[number] = SignalRows(part, expected if has_counts else 0)
-        for block in self._blocks_of(components, window):
-            for record in scan(block, dtypes):
+        for block in self._file.blocks(numbers, first_ns=first_ns, last_ns=last_ns):
+            for record in scan(block, self._dtypes):
                 if isinstance(record, OtherRecord):
-                    self._check_declared(record)
-                    continue
-                number, messages = record
-                if number in rows:
-                    rows[number].append(window.of(messages))
-        return rows
-
-    def _check_declared(self, record: OtherRecord) -> None:
-        """Check that a message's channel exists: a flipped bit may hide a row in another channel.
-
-        Raises
-        ------
-        ValueError
-            If it does not.
-        """
-        is_declared = record.channel_id in self._declared
-        if record.opcode == Opcode.MESSAGE and not is_declared:
-            raise ValueError(f"a message of the undeclared channel {record.channel_id}")
+                    yield record
 
     def _check_counts(self, counts: Mapping[int, int]) -> None:
         """Check the numbers of rows against the summary, if there is one.
@@ -448,11 +310,19 @@ class LogRows:
                     f"expected {expected} rows of {name!r}, as in its summary, got {count}"
                 )
 
+    def _row_bytes(self, component: str) -> int:
+        """Return the size of a component's rows in memory; the largest possible, if not known."""
+        size = 0
+        for number, part in self._parts_of[component].items():
+            count = self._file.expected_messages(number, self._dtypes[number].itemsize)
+            size += count * (part.size + 1) * _DOUBLE_BYTES
+        return size
+
     @cached_property
     def _parts_of(self) -> dict[str, dict[int, Part]]:
-        """The parts of each component by channel id."""
+        """The parts of each component by channel id, in the order of its row."""
         parts_of: dict[str, dict[int, Part]] = {name: {} for name in self._channels}
-        for number, part in self._parts.items():
+        for number, part in sorted(self._parts.items(), key=lambda item: item[1].columns.start):
             parts_of[part.channel.name][number] = part
         return parts_of
 
@@ -461,32 +331,146 @@ class LogRows:
         return {number: record_dtype(part.size) for number, part in self._parts.items()}
 
 
-def _side_by_side(parts: list[SignalRows]) -> tuple[Nanoseconds, Matrix]:
-    """Join the parts of a component to its rows.
+@final
+class _Joined:
+    """Some columns of a component, of which each part has a channel of its own.
+
+    Parameters
+    ----------
+    parts : mapping of channel id to Part
+        In the order of the row.
+    columns : slice or None
+        Of its row; None: all.
+
+    Attributes
+    ----------
+    columns : mapping of channel id to slice
+        What is read of each part.
+    """
+
+    def __init__(self, parts: Mapping[int, Part], columns: slice | None) -> None:
+        self._parts = parts
+        self._first_ns: int | None = None
+        self.columns: dict[int, slice] = {}
+        for number, part in parts.items():
+            start, stop = part.columns.start, part.columns.stop
+            if columns is not None:
+                start, stop = max(columns.start, start), min(columns.stop, stop)
+            if columns is None or start < stop:
+                self.columns[number] = slice(start - part.columns.start, stop - part.columns.start)
+        if not self.columns:  # only the times
+            self.columns[next(iter(parts))] = slice(0, 0)
+        self._waiting: dict[int, list[TimedRows]] = {number: [] for number in self.columns}
+
+    def add(self, number: int, records: Records) -> Iterator[TimedRows]:
+        """Add message records of a channel; yield the rows that are whole now.
+
+        Raises
+        ------
+        ValueError
+            If the records are damaged, the channels have rows at different times, or one is off the
+            grid.
+        """
+        part = self._parts[number]
+        times = record_times(records)
+        self._first_ns = int(times[0]) if self._first_ns is None else self._first_ns
+        _check_grid(times, self._first_ns, part)
+        columns = self.columns[number]
+        values = np.empty((len(records), columns.stop - columns.start))
+        copy_columns(records, values, size=part.size, columns=columns)
+        if len(self.columns) == 1:
+            yield times, values
+            return
+        self._waiting[number].append((times, values))
+        if sum(rows.nbytes for _, rows in self._waiting[number]) > _MOST_PENDING:
+            raise ValueError("the channels of a component are too far apart to be joined")
+        while all(self._waiting.values()):
+            count = min(len(own[0][0]) for own in self._waiting.values())
+            taken = [own.pop(0) for own in self._waiting.values()]
+            if any(not np.array_equal(taken[0][0][:count], own[:count]) for own, _ in taken):
+                raise ValueError("the channels of a component have rows at different times")
+            for own, (times, rows) in zip(self._waiting.values(), taken, strict=True):
+                if len(times) > count:
+                    own.insert(0, (times[count:], rows[count:]))
+            yield taken[0][0][:count], np.hstack([rows[:count] for _, rows in taken])
+
+    def check_whole(self) -> None:
+        """Check that no rows are left.
+
+        Raises
+        ------
+        ValueError
+            If a channel has fewer rows than another.
+        """
+        if any(self._waiting.values()):
+            raise ValueError("the channels of a component have different numbers of rows")
+
+
+@final
+class _Rows:
+    """Times and rows that are joined; there is room for ``expected`` of them at once."""
+
+    def __init__(self, expected: int, width: int) -> None:
+        self._times = np.empty(expected, np.int64)
+        self._rows = np.empty((expected, width))
+        self._count = 0
+
+    def append(self, times: Nanoseconds, rows: Matrix) -> None:
+        """Append rows."""
+        stop = self._count + len(times)
+        if stop > len(self._times):
+            added = max(stop, 2 * len(self._times), _FIRST_ROWS) - len(self._times)
+            self._times = np.concatenate([self._times, np.empty(added, np.int64)])
+            self._rows = np.concatenate([self._rows, np.empty((added, rows.shape[1]))])
+        self._times[self._count : stop] = times
+        self._rows[self._count : stop] = rows
+        self._count = stop
+
+    def in_order(self) -> TimedRows:
+        """Return times (n,) and rows (n, width) in the order of time; read-only."""
+        times = self._times[: self._count]
+        rows = self._rows[: self._count]
+        if (times[1:] < times[:-1]).any():
+            # Stable: rows of one instant are the limits of a jump, told apart by their order.
+            order = np.argsort(times, kind="stable")
+            times, rows = times[order], rows[order]
+        times.setflags(write=False)
+        rows.setflags(write=False)
+        return times, rows
+
+
+def record_times(records: Records) -> Nanoseconds:
+    """Return the times of message records.
 
     Raises
     ------
     ValueError
-        If they have rows at different times.
+        If one is beyond 2**63 - 1 ns.
     """
-    ordered = sorted(parts, key=lambda rows: rows.part.columns.start)
-    time_ns, values = ordered[0].in_time_order()
-    columns = [values]
-    for rows in ordered[1:]:
-        other_time_ns, other_values = rows.in_time_order()
-        if not np.array_equal(time_ns, other_time_ns):
-            raise ValueError(f"the channels of {rows.component!r} have rows at different times")
-        columns.append(other_values)
-    if len(columns) > 1:
-        values = np.hstack(columns)
-    time_ns.setflags(write=False)
-    values.setflags(write=False)
-    return time_ns, values
+    times: Nanoseconds = records["log_time"].astype(np.int64)
+    if (times < 0).any():
+        raise ValueError(f"a time beyond {LARGEST_NS} ns")
+    return times
+
+
+def _check_grid(times: Nanoseconds, first_ns: int, part: Part) -> None:
+    """Check that the times of rows are whole periods of their component away from one of them.
+
+    Raises
+    ------
+    ValueError
+        If one is not.
+    """
+    grid = Grid(first_ns, part.step_ns)
+    period = part.channel.period
+    off = grid.stamp(grid.number(times) // period * period) != times  # faster than a remainder
+    if off.any():
+        time = times[int(off.argmax())] / 1e9
+        raise ValueError(
+            f"a row of {part.channel.name!r} at t = {time} s is off its grid: rows are "
+            f"{float(period * part.step_ns / NANOSECONDS)} s apart, from {first_ns / 1e9} s on"
+        )
 
 
 def _bytes_of(rows: TimedRows) -> int:
     return sum(array.nbytes for array in rows)
-
-
-def _size(columns: slice) -> int:
-    return int(columns.stop - columns.start)

@@ -20,7 +20,7 @@ from cosim.core.recording import CompleteRecording
 from cosim.errors import FmuError, LogError, UsageError, flag, listing, quoted
 from cosim.files import read_bounded
 from cosim.log import Attachment, Log
-from cosim.log.reading.container import MOST_ATTACHED
+from cosim.log.mcap_file.places import MOST_ATTACHED
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.kinds import Kind
 from cosim.scenario.kinds.build_record import RecordedFmu

@@ -29,7 +29,7 @@ from cosim.core.recorded.signals import warning_texts
 from cosim.core.recorders import Memory
 from cosim.errors import UsageError, flag, option, warn
 from cosim.log import Log
-from cosim.log.editing.joining import open_joined
+from cosim.log.editing.spans import open_joined
 from cosim.log.foreign.topics import is_foreign
 from cosim.log.mcap_file.paths import log_path
 from cosim.log.mcap_file.rotation import all_parts

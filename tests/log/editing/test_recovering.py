@@ -17,10 +17,9 @@ from mcap.reader import make_reader
 import cosim
 from cosim.errors import LogError
 from cosim.log import open_log
-from cosim.log.editing.cutting import cut
-from cosim.log.editing.lost import Interval
-from cosim.log.editing.recovering import recover
-from cosim.log.editing.salvage import salvage
+from cosim.log.editing.recovering import Interval, recover
+from cosim.log.editing.spans import cut
+from cosim.log.mcap_file.places import searched
 from cosim.log.writing import encoding
 from tests.log.crafting import put_together, take_apart
 from tests.log.recordings import STEP_NS, layout, make_chunks_small, record, same_bits, table
@@ -102,7 +101,7 @@ def test_one_flipped_bit_costs_one_chunk(tmp_path, written):
     broken = bytearray(data)
     broken[chunk.chunk_start_offset + chunk.chunk_length - 50] ^= 4
     (tmp_path / "broken.mcap").write_bytes(broken)
-    assert len(salvage(tmp_path / "broken.mcap").chunks) == len(chunks) - 1
+    assert len(searched(tmp_path / "broken.mcap").chunks) == len(chunks) - 1
     recovery = recovered(tmp_path, broken)
     check_rows(recovery, rows)
     assert recovery.log.status == "partial"
@@ -151,7 +150,8 @@ def test_random_damage_loses_no_intact_chunk(tmp_path, written, seeds, subtests)
     for seed in seeds:
         broken = damaged(data, chunks[0].chunk_start_offset, random.Random(seed))
         (tmp_path / "broken.mcap").write_bytes(broken)
-        found = {bytes(broken[a:b]) for a, b in salvage(tmp_path / "broken.mcap").chunks}
+        places = searched(tmp_path / "broken.mcap")
+        found = {bytes(broken[span.start : span.stop]) for span in places.chunks}
         with subtests.test(case=seed):
             for chunk in chunks:
                 start = chunk.chunk_start_offset

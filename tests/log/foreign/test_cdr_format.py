@@ -161,16 +161,26 @@ def test_damaged_messages_and_schemas_of_ros_are_refused(tmp_path, subtests):
     """Whatever a length says, no more is read than is there."""
     for definition, body, options, text in [
         ("float64 x", b"", {}, "message 1: the message of 4 bytes"),
-        ("float64[] x", struct.pack("<I", 10**9), {}, "1000000000 elements"),
-        ("float64[] x", struct.pack("<I12x", 9), {}, "9 numbers"),
+        (
+            "float64[] x",
+            struct.pack("<I", 10**9),
+            {},
+            "message 1: the message of 8 bytes cannot be decoded",
+        ),
+        (
+            "float64[] x",
+            struct.pack("<I12x", 9),
+            {},
+            "message 1: the message of 20 bytes cannot be decoded",
+        ),
         ("float64 x", b"", {"encapsulation": b"\0\7\0\0"}, "plain CDR .* got serialization 7"),
         ("float64 x", b"", {"encapsulation": b"\0"}, "expected CDR, got a message of 1 bytes"),
         ("Other x", b"", {}, "its schema does not define demo_msgs/Other"),
         ("Demo x", b"", {}, "in its schema demo_msgs/Demo contains itself"),
-        ("float64", b"", {}, "a line in demo_msgs/Demo .*: 'float64'"),
+        ("float64", b"", {}, "its schema .* cannot be parsed: .* at character"),
         ("float64[0] x", b"", {}, "its schema has an array of 0 elements"),
-        ("int8 x\n===\nint8 y", b"", {}, "a definition without a line 'MSG: package/Name'"),
-        ("wstring w\nint8 x", b"", {}, "a wstring before"),
+        ("int8 x\n===\nint8 y", b"", {}, "its schema .* cannot be parsed: .* at character"),
+        ("wstring w\nint8 x", b"", {}, "type 'wstring', 'w': not supported"),
     ]:
         path = ros_file(tmp_path, definition, body, **options)
         with subtests.test(case=definition), pytest.raises(LogError, match=text):
@@ -194,10 +204,10 @@ def test_definitions_and_values_inside_each_other_are_bounded(tmp_path):
     with pytest.raises(LogError, match="its schema nests messages 50 deep"):
         read(ros_file(tmp_path, "\n===\n".join(parts), b""), "/topic.x")
     schema = ("Demo", "ros2idl", b"struct Demo { " + b"sequence<" * 5000)
-    with pytest.raises(LogError, match="its schema has a sequence of arrays or sequences"):
+    with pytest.raises(LogError, match="a sequence of sequences: not supported"):
         read(raw_file(tmp_path, "cdr", schema, [b""]), "/topic.x")
     deep = b'{"x": 1, "a": ' + b'{"a": ' * 400 + b"1" + b"}" * 401
-    assert JsonFormat().fields(deep) == {"x": "number"}
+    assert dict(JsonFormat().fields(deep)) == {"x": "number"}
     with pytest.raises(LogError, match="message 1: the message is not JSON"):
         read(raw_file(tmp_path, "json", None, [b"[" * 100_000]), "/topic.x")
 

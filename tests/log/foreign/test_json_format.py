@@ -112,5 +112,5 @@ def test_a_message_may_be_a_number_or_an_array(tmp_path):
     assert number.values.tolist() == [[5.0], [6.5]]
     assert vector.values.tolist() == [[1.0, 2.0], [3.0, 4.0]]
     assert last.values.tolist() == [[2.0], [4.0]]
-    with pytest.raises(LogError, match=r"'/n', message 1: the message is not a list"):
+    with pytest.raises(LogError, match=r"'/n\[0\]', message 1: the message is not a list"):
         read(path, "/n[0]")

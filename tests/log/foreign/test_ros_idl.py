@@ -198,16 +198,15 @@ def test_messages_of_ros_itself_are_read(tmp_path, type_name):
 def test_schemas_that_cannot_be_parsed_are_refused(tmp_path, subtests):
     """With what is wrong."""
     for definition, text in [
-        ("module a {", "its schema ends within a definition"),
-        ("struct Demo { long x }", "expected ',' or ';', got '}'"),
-        ("union Demo {};", "got 'union'"),
-        ("struct Demo { long x[2][3]; };", "its schema has an array of arrays, 'x'"),
-        ("struct Demo { sequence<sequence<long>> x; };", "a sequence of arrays or sequences"),
-        ("struct Demo { long x[N]; };", "expected a number, got 'N'"),
-        ("struct Demo { Other x; };", "its schema does not define Other"),
-        ("struct Demo { Demo x; };", "in its schema Demo contains itself"),
-        ("module a {" * 60, "its schema nests more than 50 modules"),
-        ("struct Other { long x; };", "its schema does not define Demo"),
+        ("module a {", "cannot be parsed: .* at character"),
+        ("struct Demo { long x }", "cannot be parsed: .* at character"),
+        ("union Demo {};", "cannot be parsed: .* at character"),
+        ("struct Demo { long x[2][3]; };", "cannot be parsed: Multidimensional arrays"),
+        ("struct Demo { sequence<sequence<long>> x; };", "a sequence of sequences: not supported"),
+        ("struct Demo { long x[N]; };", "cannot be parsed: .*'N'"),
+        ("struct Demo { Other x; };", "its schema does not define unnamed/Other"),
+        ("struct Demo { Demo x; };", "in its schema unnamed/Demo contains itself"),
+        ("struct Other { long x; };", "its schema does not define unnamed/Demo"),
     ]:
         schema = ("Demo", "ros2idl", definition.encode())
         path = raw_file(tmp_path, "cdr", schema, [b"\0\1\0\0"])

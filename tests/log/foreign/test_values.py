@@ -6,8 +6,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from cosim.log.foreign.field_path import FieldProblem
-from cosim.log.foreign.values import nanoseconds_in
+from cosim.log.foreign.fields import FieldProblem, nanoseconds_in
 
 SECOND_NS = 10**9
 

@@ -327,16 +327,16 @@ def test_a_summary_that_is_replaced_while_it_is_read_is_read_again(tmp_path, mon
     def replaced(path, stream):
         looks.append(path)
         if len(looks) > 1:
-            return read_index(path, stream)
+            return find_indexed(path, stream)
         os.utime(path, ns=(0, 0))  # as a flush changes it
         return None
 
-    read_index = container.read_index
+    find_indexed = container.indexed
     with McapRecorder(path, flush=1e-3) as recorder:
         recorder.begin(plan())
         recorder.write(*run[0])
         wait_for_step(path, 10)
-        monkeypatch.setattr(container, "read_index", replaced)
+        monkeypatch.setattr(container, "indexed", replaced)
         log = open_log(path)
         assert (len(looks), log.status, log.steps) == (2, "unfinished", 10)
 

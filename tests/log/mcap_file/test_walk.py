@@ -23,7 +23,7 @@ def test_truncated_files_are_refused_with_the_byte(long_log, tmp_path, subtests)
         text = rf"a\.mcap is truncated at byte {stop}: .*: run it again"
         with (
             subtests.test(case=share),
-            pytest.raises(LogError, match=text if stop else "not an MCAP file"),
+            pytest.raises(LogError, match=text if stop else "is empty; expected an MCAP file"),
         ):
             open_log(path)
 

@@ -6,7 +6,7 @@ import pytest
 
 from cosim.errors import LogError
 from cosim.log import McapRecorder
-from cosim.log.editing.merging import merge
+from cosim.log.editing.spans import merge
 from cosim.log.mcap_file.rotation import part_paths
 from tests.log.recordings import (
     LATE,

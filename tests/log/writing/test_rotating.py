@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 
 from cosim.errors import LogWriteError, UsageError
 from cosim.log import McapRecorder, open_log
-from cosim.log.editing.merging import merge
+from cosim.log.editing.spans import merge
 from cosim.log.mcap_file.rotation import Rotation
 from cosim.log.mcap_file.unfinished import UnfinishedLog
 from tests.log.recordings import (

@@ -9,7 +9,7 @@ import pytest
 
 import cosim
 from cosim.errors import CosimError, FmuError, LogError, UsageError
-from cosim.log.reading.container import MOST_ATTACHED
+from cosim.log.mcap_file.places import MOST_ATTACHED
 from cosim.report.verification import verify
 from cosim.scenario.document.document import find, shipped
 from cosim.scenario.record import component_record, replay_origin

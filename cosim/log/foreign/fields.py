@@ -1,8 +1,9 @@
-"""The written names of fields: ``/drive/state.position``, ``/joints.effort[3]``, ``/a.poses[0].x``.
+"""Fields of messages: their written names, and their values as float64.
 
-A field is written as a topic, a dot and the path into a message: names of fields with dots between
-them, and indices of elements, from 0, in brackets. ``[0:3]`` at the end selects several elements.
-In quotes, as in TOML, a name is itself whatever is in it: ``/drive."motor.speed"``; so is a topic:
+A field is written as a topic, a dot and the path into a message, ``/drive/state.position``,
+``/joints.effort[3]``, ``/a.poses[0].x``: names of fields with dots between them, and indices of
+elements, from 0, in brackets. ``[0:3]`` at the end selects several elements. In quotes, as in TOML,
+a name is itself whatever is in it: ``/drive."motor.speed"``; so is a topic:
 ``"/drive.left".speed``. A message that is an array has ``/drive[0]``, one that is a number
 ``/drive``.
 """
@@ -10,9 +11,13 @@ In quotes, as in TOML, a name is itself whatever is in it: ``/drive."motor.speed
 from __future__ import annotations
 
 import json
+import math
 import re
-from collections.abc import Iterable
-from typing import Final, TypeAlias
+from collections.abc import Iterable, Sequence
+from typing import Any, Final, TypeAlias
+
+from cosim.arrays import NAN
+from cosim.instants import NANOSECONDS
 
 Step: TypeAlias = str | int | range
 FieldPath: TypeAlias = tuple[Step, ...]
@@ -128,3 +133,89 @@ def split_field(field: str, topics: Iterable[str]) -> tuple[str, str] | None:
         names = " or ".join(json.dumps(topic, ensure_ascii=False) for topic in matches)
         raise FieldProblem(f"it begins with several topics; expected one in quotes, {names}")
     return (matches[0], field[len(matches[0]) :].removeprefix(".")) if matches else None
+
+
+# --- values ---
+
+
+class StampNs(int):
+    """A time or duration in ns, which is s as a value of a field."""
+
+
+class EnumNumber(int):
+    """The number of an enumeration: there is nothing between two of them."""
+
+
+def numbers(value: Any) -> list[float]:
+    """Return the value of a field as numbers; NaN: the message has none.
+
+    Raises
+    ------
+    FieldProblem
+        If it is not a number, infinite, or an integer that no float64 is.
+    """
+    if isinstance(value, Sequence) and not isinstance(value, str | bytes):
+        return [_number(item) for item in value]
+    return [_number(value)]
+
+
+def _number(value: Any) -> float:
+    if value is None:
+        return NAN
+    if isinstance(value, StampNs):
+        return value / NANOSECONDS
+    if isinstance(value, int):  # bool, enumerations too
+        return _exact(value)
+    if not isinstance(value, float):
+        raise FieldProblem(f"expected a number, got {_what(value)}")
+    if value in (float("inf"), -float("inf")):
+        raise FieldProblem(f"expected a finite number, got {value}")
+    return value
+
+
+def _exact(value: int) -> float:
+    try:
+        number = float(value)
+    except OverflowError:
+        number = NAN
+    if number != value:
+        raise FieldProblem(
+            f"expected an integer that a float64 represents (up to 2**53), got {value}"
+        )
+    return number
+
+
+def _what(value: Any) -> str:
+    match value:
+        case None:
+            return "missing"
+        case str():
+            return "text"
+        case bytes():
+            return "bytes"
+        case dict():
+            return "an object of several fields"
+        case list() | tuple():
+            return "a list"
+    return f"of type {type(value).__name__}"
+
+
+def nanoseconds_in(value: Any, unit_ns: int) -> int:
+    """Return a time that a message has in ns; a number counts units of ``unit_ns``.
+
+    Raises
+    ------
+    FieldProblem
+        If it is not a time.
+    """
+    if isinstance(value, StampNs):
+        return int(value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise FieldProblem(f"expected a time, got {_what(value)}")
+    if isinstance(value, int):
+        return value * unit_ns
+    if not abs(value * unit_ns) < 2**63:
+        raise FieldProblem("expected a time, got a number that is not finite or too large")
+    # apart: the product of both, of 19 digits, would be rounded to 16
+    rest, whole = math.modf(value)
+    return int(whole) * unit_ns + round(rest * unit_ns)

@@ -1,0 +1,269 @@
+"""Messages of ROS 2, in CDR, by a schema in ``ros2msg`` or ``ros2idl``.
+
+rosbags parses the schema and mcap-ros2-support decodes the messages; both come with an extra. What
+could make a small file take long is refused before: messages of too many fields, or inside each
+other, and arrays of no elements.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterator, Mapping
+from types import SimpleNamespace
+from typing import Any, Final, NamedTuple, TypeAlias
+
+from cosim.instants import NANOSECONDS
+from cosim.log.foreign.fields import FieldProblem, StampNs
+from cosim.log.foreign.formats import DecodedFormat
+from cosim.log.foreign.topics import ForeignSchema
+
+_MOST_TEXT: Final = 2**20  # bytes of a schema
+_MOST_LEVELS: Final = 50  # of messages inside each other
+_MOST_FIELDS: Final = 10_000  # of a message and all inside it
+_MOST_ELEMENTS: Final = 2**24  # of an array of fixed length
+_ENCAPSULATION: Final = 4  # bytes before the body
+_TITLES: Final = re.compile(r"^(?:={3,}|IDL:.*|#.*)\s*$", re.MULTILINE)
+_ENUMERATION: Final = re.compile(r"\benum\s+(\w+)")
+_NESTED: Final = re.compile(r"\bsequence\s*<\s*sequence\b")
+_SEPARATOR: Final = re.compile(r"^={3,}\s*$", re.MULTILINE)
+_TIMES: Final = ("builtin_interfaces/Time", "builtin_interfaces/Duration")
+# as ROS 2 has them
+_NUMBERS: Final = {"octet": "byte", "byte": "byte", "char": "uint8", "bool": "bool"}
+_SIZED: Final = re.compile(r"u?int(8|16|32|64)|float(32|64)")
+_VARIABLE: Final = -1  # number of elements of a sequence
+
+
+class RosField(NamedTuple):
+    """A field of a message.
+
+    Parameters
+    ----------
+    name : str
+    type_name : str
+        A number, ``string``, ``wstring``, or a message as ``package/Name``.
+    elements : int or None
+        Elements of an array; -1: of a sequence; None: it is a scalar.
+    """
+
+    name: str
+    type_name: str
+    elements: int | None
+
+    @property
+    def is_message(self) -> bool:
+        """Whether it has messages."""
+        return not (
+            self.type_name in {*_NUMBERS.values(), "string"} or _SIZED.fullmatch(self.type_name)
+        )
+
+
+RosMessages: TypeAlias = Mapping[str, tuple[RosField, ...]]  # fields by the names of messages
+_TIME: Final = (RosField("sec", "int32", None), RosField("nanosec", "uint32", None))
+
+
+class RosFormat(DecodedFormat):
+    """Messages in CDR.
+
+    Raises
+    ------
+    FieldProblem
+        If the extra is not installed, or the schema cannot be parsed or is refused.
+    """
+
+    def __init__(self, schema: ForeignSchema) -> None:
+        try:
+            from mcap_ros2._dynamic import generate_dynamic
+        except ImportError as error:
+            raise _missing("mcap-ros2-support") from error
+        self._name = short_name(schema.name)
+        self._messages = read_messages(schema)
+        text = _text(self._name, self._messages)
+        try:
+            self._decoder = generate_dynamic(self._name, text)[self._name]
+        except Exception as error:  # of its own classes: names that ROS does not allow
+            raise FieldProblem(f"its schema {schema.name!r} cannot be read: {error}") from error
+
+    def fields(self, sample: bytes) -> Iterator[tuple[str, str]]:
+        """Yield names and types of the numeric fields; those of any length have ``[]``."""
+        return self._leaves(self._name, "")
+
+    def _leaves(self, message: str, prefix: str) -> Iterator[tuple[str, str]]:
+        for field in self._messages[message]:
+            full = f"{prefix}{field.name}"
+            inside = "" if field.elements is None else "[]"
+            if field.is_message:
+                if is_time(field.type_name, self._messages):
+                    yield full + inside, "time"
+                yield from self._leaves(field.type_name, f"{full}{inside}.")
+            elif not field.type_name.endswith("string"):
+                is_fixed = field.elements not in (None, _VARIABLE)
+                yield full + (f"[0:{field.elements}]" if is_fixed else inside), field.type_name
+
+    def decode(self, data: bytes) -> Any:
+        """Return a message."""
+        _check_encapsulation(data)
+        try:
+            return self._decoder(data)
+        except (struct.error, IndexError, NotImplementedError, ValueError, MemoryError) as error:
+            raise FieldProblem(
+                f"the message of {len(data)} bytes cannot be decoded: {error}"
+            ) from error
+
+    def _is_message(self, value: Any) -> bool:
+        return isinstance(value, SimpleNamespace)
+
+    def _field(self, message: Any, name: str) -> Any:
+        if name not in message.__slots__:
+            raise KeyError(name)
+        value = getattr(message, name)
+        return list(value) if isinstance(value, bytes) else value
+
+    def _stamp(self, message: Any) -> StampNs | None:
+        if not is_time(str(message._type), self._messages):
+            return None
+        return StampNs(message.sec * NANOSECONDS + message.nanosec)
+
+
+def _missing(library: str) -> FieldProblem:
+    return FieldProblem(
+        f"messages of ROS 2 need {library}, which is not installed: pip install {library}, or, in "
+        "a clone of cosim, pip install -e '.[ros]'"
+    )
+
+
+def _check_encapsulation(data: bytes) -> None:
+    """Check that a message is in plain CDR, of either byte order."""
+    if len(data) < _ENCAPSULATION:
+        raise FieldProblem(f"expected CDR, got a message of {len(data)} bytes")
+    kind = int.from_bytes(data[:2], "big")
+    if kind > 1:
+        raise FieldProblem(f"expected plain CDR (serialization 0 or 1), got serialization {kind}")
+
+
+def is_time(name: str, messages: RosMessages) -> bool:
+    """Return whether a message is a time, by its name and by what the schema says is in it."""
+    if name not in _TIMES:
+        return False
+    fields = {field.name: field.elements for field in messages[name]}
+    types = {field.type_name for field in messages[name]}
+    return fields == {"sec": None, "nanosec": None} and types <= {"int32", "uint32"}
+
+
+def short_name(name: str) -> str:
+    """Return ``package/Name`` for ``package/msg/Name``, or for a name without a package."""
+    parts = name.split("/")
+    return f"{parts[0] if len(parts) > 1 else 'unnamed'}/{parts[-1]}"
+
+
+# --- schemas ---
+
+
+def read_messages(schema: ForeignSchema) -> RosMessages:
+    """Return the messages that a schema defines, by their names.
+
+    Raises
+    ------
+    FieldProblem
+        If it cannot be parsed or is refused, or rosbags is not installed.
+    """
+    try:
+        from rosbags.typesys import get_types_from_idl, get_types_from_msg
+        from rosbags.typesys.base import TypesysError
+    except ImportError as error:
+        raise _missing("rosbags") from error
+    text = _schema_text(schema)
+    try:
+        if schema.encoding == "ros2idl":
+            types = get_types_from_idl(_TITLES.sub("", text))
+        else:
+            types = get_types_from_msg(_SEPARATOR.sub("=" * 80, text), short_name(schema.name))
+    except (TypesysError, RecursionError, ValueError) as error:
+        reason, *rest = str(error).splitlines()
+        if len(rest) > 1:  # the text, and where in it
+            reason = f"nothing that is known begins at character {rest[1]}"
+        raise FieldProblem(f"its schema {schema.name!r} cannot be parsed: {reason}") from error
+    messages: dict[str, tuple[RosField, ...]] = dict.fromkeys(_TIMES, _TIME)
+    enumerations = set(_ENUMERATION.findall(text))
+    for name, (_, fields) in types.items():
+        own = [_field(*field) for field in fields]
+        for number, field in enumerate(own):
+            is_defined = field.type_name in map(short_name, types)
+            if field.type_name.rpartition("/")[2] in enumerations and not is_defined:
+                own[number] = field._replace(type_name="uint32")
+        messages[short_name(name)] = tuple(own)
+    _size(short_name(schema.name), messages, (), {})
+    return messages
+
+
+def _schema_text(schema: ForeignSchema) -> str:
+    if len(schema.data) > _MOST_TEXT:
+        raise FieldProblem(f"its schema has {len(schema.data)} bytes, more than {_MOST_TEXT}")
+    try:
+        text = schema.data.decode()
+    except UnicodeDecodeError as error:
+        raise FieldProblem(f"its schema {schema.name!r} is not UTF-8 text") from error
+    if schema.encoding == "ros2idl" and _NESTED.search(text):  # rosbags takes it for a sequence
+        raise FieldProblem("its schema has a sequence of sequences: not supported")
+    return text
+
+
+def _field(name: str, described: Any) -> RosField:
+    kind, content = described
+    count = None
+    if kind.name in ("ARRAY", "SEQUENCE"):
+        (kind, content), count = content
+        if described[0].name == "SEQUENCE":
+            count = _VARIABLE
+    type_name = content[0] if kind.name == "BASE" else short_name(content)
+    type_name = _NUMBERS.get(type_name, type_name)
+    is_known = kind.name == "NAME" or type_name in {*_NUMBERS.values(), "string"}
+    if type_name.endswith("wstring") or not (is_known or _SIZED.fullmatch(type_name)):
+        kind_name = type_name.rpartition("/")[2]
+        raise FieldProblem(f"its schema has a field of type {kind_name!r}, {name!r}: not supported")
+    return RosField(name, type_name, count)
+
+
+def _size(name: str, messages: RosMessages, above: tuple[str, ...], sizes: dict[str, int]) -> int:
+    """Return how many fields a message has, those of messages inside too.
+
+    Raises
+    ------
+    FieldProblem
+        If one inside is not defined, or is inside itself; if there are too many fields, or an array
+        has none or too many elements.
+    """
+    if name in above:
+        raise FieldProblem(f"in its schema {name} contains itself")
+    if len(above) > _MOST_LEVELS:
+        raise FieldProblem(f"its schema nests messages {_MOST_LEVELS} deep")
+    if name not in messages:
+        raise FieldProblem(f"its schema does not define {name}")
+    if name not in sizes:
+        total = 1
+        for field in messages[name]:
+            if field.elements == 0 or (field.elements or 0) > _MOST_ELEMENTS:
+                raise FieldProblem(f"its schema has an array of {field.elements} elements")
+            total += 1
+            if field.is_message:
+                total += _size(field.type_name, messages, (*above, name), sizes)
+        if total > _MOST_FIELDS:
+            raise FieldProblem(f"its schema has more than {_MOST_FIELDS} fields")
+        sizes[name] = total
+    return sizes[name]
+
+
+def _text(name: str, messages: RosMessages) -> str:
+    """Return messages as mcap-ros2-support reads them, the one called ``name`` first."""
+    parts = []
+    for own in [name, *(other for other in messages if other != name)]:
+        lines = [f"MSG: {own}"]
+        for field in messages[own]:
+            count = (
+                ""
+                if field.elements is None
+                else f"[{'' if field.elements < 0 else field.elements}]"
+            )
+            lines.append(f"{field.type_name}{count} {field.name}")
+        parts.append("\n".join(lines))
+    return f"\n{'=' * 80}\n".join(parts)
