@@ -42,24 +42,6 @@ def result_items(end: EndOfRun, last_row: LastRow, *, content_hash: str) -> Resu
     return {**asdict(end), **asdict(last_row), "content_hash": content_hash}
 
 
-def part_group(
-    number: int, first_ns: int | None, last_row: LastRow, *, content_hash: str
-) -> RecordGroup:
-    """Return the end of a file of a log that goes on in a next one.
-
-    Parameters
-    ----------
-    number : int
-        Of the file, from 1.
-    first_ns : int or None
-        Its first row [ns]; None: there is none.
-    last_row : LastRow
-    content_hash : str
-        Of the rows of the file.
-    """
-    return end_group(part_items(number, first_ns, asdict(last_row), content_hash), {})
-
-
 def with_whole(part: RecordGroup, whole: ResultItems) -> RecordGroup:
     """Return the end of the last file of a log of several behind that of the whole run."""
     return _joined(result_record(PARTIAL, whole), part)
@@ -68,7 +50,19 @@ def with_whole(part: RecordGroup, whole: ResultItems) -> RecordGroup:
 def part_items(
     number: int, first_ns: int | None, last_row: Mapping[str, Any], content_hash: str
 ) -> ResultItems:
-    """Return what is recorded of the end of a file of several; see :func:`part_group`."""
+    """Return what is recorded of the end of a file of several.
+
+    Parameters
+    ----------
+    number : int
+        Of the file, from 1.
+    first_ns : int or None
+        Its first row [ns]; None: there is none.
+    last_row : mapping
+        Its ``steps`` and ``end_ns``.
+    content_hash : str
+        Of the rows of the file.
+    """
     end_ns = last_row["end_ns"]
     where = "without rows" if first_ns is None else span_text(first_ns, end_ns)
     return {

@@ -14,7 +14,6 @@ import sys
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import final
 
 from cosim.errors import LogError, flag
 from cosim.files import check_folder
@@ -31,7 +30,6 @@ def create(path: Path) -> io.RawIOBase:
     return path.open("xb", buffering=0)
 
 
-@final
 class UnfinishedLog:
     """A file to be published at its path, or discarded.
 

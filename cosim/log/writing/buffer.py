@@ -5,7 +5,7 @@ A block costs one copy here, however short it is; the message records are made o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, final
 
@@ -47,6 +47,18 @@ class RunContent:
     def is_empty(self) -> bool:
         """Whether there is nothing to write."""
         return not len(self.rows.steps) and not self.messages
+
+    def reaches(self, time_ns: int) -> bool:
+        """Return whether there is a row at a time [ns] or behind."""
+        return len(self.rows.steps) > 0 and int(self.rows.time_ns[-1]) >= time_ns
+
+    def pieces(self, rows: int) -> Iterator[RunContent]:
+        """Yield it in pieces of so many rows."""
+        content = self
+        while len(content.rows.steps) > rows:
+            piece, content = content.split(int(content.rows.time_ns[rows]))
+            yield piece
+        yield content
 
     def split(self, time_ns: int) -> tuple[RunContent, RunContent]:
         """Return what is before a time [ns], and what is at it or behind."""

@@ -36,11 +36,10 @@ from cosim.log.mcap_file.rotation import Rotation
 from cosim.log.mcap_file.unfinished import UnfinishedLog
 from cosim.log.reading.reader import Log
 from cosim.log.writing.background import FLUSH_INTERVAL, BackgroundWriter
-from cosim.log.writing.buffer import RunContent, WaitingMessage
+from cosim.log.writing.buffer import WaitingMessage
 from cosim.log.writing.replaced_parts import check_no_parts
-from cosim.log.writing.rotating import RotatingLog
 from cosim.log.writing.size import size_bound
-from cosim.log.writing.store import LogStore
+from cosim.log.writing.store import LogOptions, LogStore
 
 _GONE: Final = (errno.ENOENT, errno.ESTALE)  # the file at its path is not that of the run
 
@@ -99,9 +98,8 @@ class McapRecorder:
         sync: bool = False,
         rotation: Rotation | None = None,
     ) -> None:
-        self._force = force
+        self._options = LogOptions(compression, force, sync, rotation)
         self._numbered = numbered
-        self._compression = compression
         self._kinds = kinds or {}
         self._metadata = metadata or {}
         self._attachments = attachments
@@ -110,8 +108,6 @@ class McapRecorder:
         self._has_substeps = substeps
         self._channel_ids: dict[str, int] = {}  # of what is no signal, by topic
         self._flush = flush
-        self._sync = sync
-        self._rotation = rotation
         self._file = UnfinishedLog(path, force=force, numbered=numbered)
         self._writer: BackgroundWriter | None = None
         self._early: list[tuple[str, int, bytes]] = []  # messages before the file
@@ -133,7 +129,7 @@ class McapRecorder:
         """
         if not self._file.published:
             raise LogError(f"{self.path} was not written")
-        last = self._files.last
+        last = self._store.last_place
         return Log(last.path, last.own)
 
     def __enter__(self) -> Self:
@@ -146,7 +142,7 @@ class McapRecorder:
         """
         self._file.check_free()
         if not self._numbered:
-            check_no_parts(self.path, force=self._force)
+            check_no_parts(self.path, force=self._options.force)
         return self
 
     def __exit__(
@@ -168,7 +164,7 @@ class McapRecorder:
             try:
                 if self._writer is not None and self._is_worth_keeping(error):
                     # First: if the end cannot be written, what could be is at its path.
-                    self._files.publish()
+                    self._store.publish()
                     self._complete(self._writer, end_of_run(error))
             finally:
                 if self._writer is not None:
@@ -206,27 +202,20 @@ class McapRecorder:
             self._channel_ids[EVENT_TOPIC] = add_event_channel(head)
         if self._has_substeps:
             self._channel_ids[STEP_TOPIC] = add_step_channel(head)
-        if self._rotation is not None:
-            self._rotation.check(plan.layout.channels, plan.step_ns, len(head.data))
+        rotation = self._options.rotation
+        if rotation is not None:
+            rotation.check(plan.layout.channels, plan.step_ns, len(head.data))
         try:
-            file = LiveFile(stream, head.data, head.summary(), sync=self._sync)
+            file = LiveFile(stream, head.data, head.summary(), sync=self._options.sync)
         except OSError as error:
             reason = error.strerror or error
             raise LogError(f"{self.path} cannot be written: {reason}") from error
-        self._store = LogStore(file, plan, numbered_parts, compression=self._compression)
+        self._store = LogStore(self._file, file, head, plan, numbered_parts, self._options)
         self._plan = plan
         self._head_bytes = len(head.data)
-        self._files = RotatingLog(
-            self._file,
-            head,
-            self._store,
-            force=self._force,
-            rotation=self._rotation,
-            sync=self._sync,
-        )
         # Last: with a writer the file is completed, and that needs everything above.
         self._writer = BackgroundWriter(
-            self._add,
+            self._store.add,
             capacity=self._store.capacity,
             width=plan.layout.width,
             interval=self._flush,
@@ -266,7 +255,7 @@ class McapRecorder:
             first = Grid(int(block.time_ns[0]), self._plan.step_ns)
             start_ns = first.stamp(-block.index)
             with uninterrupted():
-                self._files.begin(start_ns)
+                self._store.begin(start_ns)
         row = 0 if is_first and block.index == 0 else 1
         assert self._writer is not None
         try:
@@ -313,15 +302,11 @@ class McapRecorder:
         """
         self._result.update(values)
 
-    def _add(self, content: RunContent) -> None:
-        """Write a content; called in the writer's thread."""
-        self._files.add(content)
-
     def _complete(self, writer: BackgroundWriter, end: EndOfRun) -> None:
         """Write the rest and the end of the file."""
         try:
             rest = writer.close()
-            self._files.finish(rest, end, self._result)
+            self._store.finish(rest, end, self._result)
         except OSError as error:
             self._fail(error)
 
@@ -341,8 +326,8 @@ class McapRecorder:
             self._store.close(end, self._result)
         except OSError:
             self._store.abandon()
-        self._files.discard()
-        text = f"{self._files.path} cannot be written further: {reason}"
+        self._store.discard()
+        text = f"{self._store.path} cannot be written further: {reason}"
         if error.errno not in _GONE:
             end_ns = self._store.last_row.end_ns
             text += f"; the log is valid up to t = {end_ns / NANOSECONDS} s"

@@ -8,9 +8,20 @@ from cosim.log.contents.layout import split_channel
 from cosim.log.contents.preamble import add_parts, add_preamble
 from cosim.log.mcap_file.head import FileHead
 from cosim.log.mcap_file.live_file import LiveFile
+from cosim.log.mcap_file.unfinished import UnfinishedLog
 from cosim.log.writing.buffer import RunContent, RunRows
-from cosim.log.writing.store import LogStore
+from cosim.log.writing.store import LogOptions, LogStore
 from tests.log.recordings import STEP_NS
+
+
+class Unplaced(UnfinishedLog):
+    """The place of a log that is in memory."""
+
+    def publish(self):
+        self.published = True
+
+    def check(self):
+        pass
 
 
 def open_store(stream, plan, *, compression="none", metadata=None, attachments=()):
@@ -22,7 +33,8 @@ def open_store(stream, plan, *, compression="none", metadata=None, attachments=(
     numbered = list(zip(add_parts(head, parts), parts, strict=True))
     add_preamble(head, plan, metadata=metadata or {}, attachments=attachments, kinds={})
     file = LiveFile(stream, head.data, head.summary())
-    store = LogStore(file, plan, numbered, compression=compression)
+    place = Unplaced("x.mcap", force=False)
+    store = LogStore(place, file, head, plan, numbered, LogOptions(compression))
     store.begin(0)
     return store
 
