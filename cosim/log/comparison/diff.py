@@ -10,17 +10,20 @@ elements, or where both are NaN.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 
+from cosim.arguments import number_argument, truth_argument
 from cosim.arrays import Matrix, Nanoseconds
 from cosim.core.port import Port
 from cosim.core.recorded.partial import partial_of
 from cosim.core.recorded.selection import is_pattern, matches
 from cosim.core.recorded.signals import find_signal
 from cosim.core.recording import Recording
-from cosim.errors import LogError, UnknownSignalError, nearest
+from cosim.errors import LogError, UnknownSignalError, UsageError, nearest
+from cosim.instants import NANOSECONDS
+from cosim.log.comparison.between import compare_between
 from cosim.log.comparison.difference import (
     LEFT_OUT,
     NOT_COMPARED,
@@ -28,9 +31,10 @@ from cosim.log.comparison.difference import (
     LogDifference,
     SignalDifference,
 )
-from cosim.log.comparison.event_difference import compare_events
+from cosim.log.comparison.event_difference import EventsDifference, compare_events
 from cosim.log.comparison.signal_comparison import SignalComparison, compare_signals
 from cosim.log.comparison.tolerances import Tolerances
+from cosim.log.reading.rows import TimedRows
 
 
 def diff(
@@ -42,6 +46,8 @@ def diff(
     tol: Mapping[str, float] | None = None,
     signals: Sequence[str] = (),
     span_ns: tuple[int, int] | None = None,
+    interpolate: bool = False,
+    tube: float = 0.0,
 ) -> LogDifference:
     """Compare two runs signal by signal; of long logs only a part is in memory at a time.
 
@@ -60,6 +66,14 @@ def diff(
         The signals to compare, elements of them, ``plant.x_a[0:2]``, or patterns; none: all.
     span_ns : (int, int), optional
         The first and the last instant [ns] that are compared.
+    interpolate : bool
+        Compare at every instant of a that lies within b: between its rows a continuous signal of b
+        is a straight line, and any other keeps its value. Without it, runs are compared at the
+        instants that they share.
+    tube : float
+        A value of a is right if b has it, within the tolerance, at some instant no farther away
+        [s]; implies ``interpolate``. Events are not compared then, and the rows of a component are
+        in memory.
 
     Raises
     ------
@@ -72,6 +86,8 @@ def diff(
     _check_recording("a", a)
     _check_recording("b", b)
     tolerance = Tolerances(atol, rtol, tol or {})
+    _check_tube(tube)
+    truth_argument("interpolate", interpolate)
     if signals:
         names = _expanded(a, b, [signals] if isinstance(signals, str) else signals)
         columns_a, columns_b = _chosen(a, b, names)
@@ -81,19 +97,15 @@ def diff(
         names = list(dict.fromkeys([*columns_a, *columns_b]))
     tolerance.check_used(names)
     rows: dict[str, SignalDifference] = {}
+    tube_ns = round(tube * NANOSECONDS) if interpolate or tube else None
     for component, pairs in _pairs_by_component(names, columns_a, columns_b).items():
-        blocks = [partial(_blocks, run, component, span_ns) for run in (a, b)]
+        blocks = (partial(_blocks, a, component, span_ns), partial(_blocks, b, component, span_ns))
+        between = None if tube_ns is None else partial(_compare_between, a, blocks, tube_ns)
         thinned = (_is_thinned(a, component), _is_thinned(b, component))
-        rows.update(compare_signals(pairs, blocks[0], blocks[1], tolerance, thinned=thinned))
+        rows.update(compare_signals(pairs, *blocks, tolerance, thinned=thinned, between=between))
     for name in names:
         if name not in rows:
-            run_a = a if name in columns_a else None
-            run_b = b if name in columns_b else None
-            rows[name] = _not_compared(name, run_a, run_b, span_ns)
-            if run_a is None and _was_left_out(a, name):
-                rows[name] = replace(rows[name], status="not recorded in a")
-            elif run_b is None and _was_left_out(b, name):
-                rows[name] = replace(rows[name], status="not recorded in b")
+            rows[name] = _not_compared(name, (a, columns_a), (b, columns_b), span_ns)
     if rows and all(row.status in LEFT_OUT for row in rows.values()):
         raise LogError(
             f"{a.label} and {b.label} have no recorded signal in common: one of them is partial"
@@ -102,8 +114,28 @@ def diff(
     for name, row in rows.items():
         if row.status not in NOT_COMPARED:
             tolerances[name] = row.tolerance if any(tolerance.of(name)) else None
-    events = compare_events((a, b), (columns_a, columns_b), tolerances, span_ns)
+    events = EventsDifference()
+    if tube_ns is None:
+        events = compare_events((a, b), (columns_a, columns_b), tolerances, span_ns)
     return LogDifference(tuple(rows[name] for name in names), atol, rtol, events, tolerance.own)
+
+
+def _check_tube(tube: object) -> None:
+    width = number_argument("tube", tube)
+    if not 0.0 <= width < math.inf:
+        raise UsageError(f"tube: expected a finite number of seconds >= 0, got {tube!r}")
+
+
+def _compare_between(
+    a: Recording,
+    blocks: Sequence[Callable[[], Iterator[TimedRows]]],
+    tube_ns: int,
+    comparisons: Sequence[SignalComparison],
+) -> None:
+    signals = []
+    for comparison in comparisons:
+        signals.append(find_signal(a.channels, comparison.name, source="the first run").signal)
+    compare_between(comparisons, blocks[0](), blocks[1](), signals, tube_ns)
 
 
 def _is_thinned(run: Recording, component: str) -> bool:
@@ -207,18 +239,22 @@ def _component_of(name: str) -> str:
 
 
 def _not_compared(
-    name: str, a: Recording | None, b: Recording | None, span_ns: tuple[int, int] | None
+    name: str,
+    a: tuple[Recording, Mapping[str, slice]],
+    b: tuple[Recording, Mapping[str, slice]],
+    span_ns: tuple[int, int] | None,
 ) -> SignalDifference:
     """Describe a signal that only one run has, or that the runs have with different sizes."""
-    component = _component_of(name)
-    rows_a = 0 if a is None else _count(_blocks(a, component, span_ns))
-    rows_b = 0 if b is None else _count(_blocks(b, component, span_ns))
+    counts = []
+    for run, columns in (a, b):
+        blocks = _blocks(run, _component_of(name), span_ns) if name in columns else iter(())
+        counts.append(_count(blocks))
     status: DifferenceStatus = "other size"
-    if b is None:
-        status = "only in a"
-    elif a is None:
-        status = "only in b"
-    return SignalDifference(name, status, (rows_a, rows_b, 0))
+    if name not in b[1]:
+        status = "not recorded in b" if _was_left_out(b[0], name) else "only in a"
+    elif name not in a[1]:
+        status = "not recorded in a" if _was_left_out(a[0], name) else "only in b"
+    return SignalDifference(name, status, (counts[0], counts[1], 0))
 
 
 def _blocks(

@@ -22,11 +22,12 @@ def compare_signals(
     tolerances: Tolerances,
     *,
     thinned: tuple[bool, bool],
+    between: Callable[[Sequence[SignalComparison]], None] | None = None,
 ) -> dict[str, SignalDifference]:
     """Compare the signals of a component; leave out those whose sizes differ.
 
     ``a`` and ``b`` return the blocks of its rows in both runs, which need not have them all where
-    they are ``thinned``.
+    they are ``thinned``. ``between`` compares them in another way than at the instants of both.
     """
     same_size = [comparison for comparison in comparisons if comparison.same_size]
     if not same_size:
@@ -37,9 +38,12 @@ def compare_signals(
                 comparison.extend_scale(rows)
     for comparison in same_size:
         comparison.set_tolerance(*tolerances.of(comparison.name))
-    for window in windows(a(), b()):
-        for comparison in same_size:
-            comparison.add(window)
+    if between is not None:
+        between(same_size)
+    else:
+        for window in windows(a(), b()):
+            for comparison in same_size:
+                comparison.add(window)
     return {comparison.name: comparison.result(thinned) for comparison in same_size}
 
 
@@ -49,8 +53,8 @@ class SignalComparison:
 
     def __init__(self, name: str, columns_a: slice, columns_b: slice) -> None:
         self.name = name
-        self._columns_a = columns_a
-        self._columns_b = columns_b
+        self.columns_a = columns_a
+        self.columns_b = columns_b
         self._rows = (0, 0, 0)
         self._largest = 0.0
         self._scale = 0.0
@@ -62,13 +66,13 @@ class SignalComparison:
     @property
     def same_size(self) -> bool:
         """Whether the signal has as many elements in both runs."""
-        a = self._columns_a
-        b = self._columns_b
+        a = self.columns_a
+        b = self.columns_b
         return bool(a.stop - a.start == b.stop - b.start)
 
     def extend_scale(self, rows: Matrix) -> None:
         """Take more rows of a into account."""
-        values = rows[:, self._columns_a]
+        values = rows[:, self.columns_a]
         finite = values[np.isfinite(values)]
         self._scale = max(self._scale, float(np.abs(finite).max(initial=0.0)))
 
@@ -82,25 +86,34 @@ class SignalComparison:
         times, rows_a = window.a
         _, rows_b = window.b
         self.extend_scale(rows_a)
-        values_a = rows_a[:, self._columns_a]
-        values_b = rows_b[:, self._columns_b]
+        values_a = rows_a[:, self.columns_a]
+        values_b = rows_b[:, self.columns_b]
         if window.shared is not None:
             shared_a, shared_b = window.shared
             times = times[shared_a]
             values_a = values_a[shared_a]
             values_b = values_b[shared_b]
-        counts = (len(rows_a), len(rows_b), len(times))
-        count_a, count_b, count_shared = map(sum, zip(self._rows, counts, strict=True))
-        self._rows = (count_a, count_b, count_shared)
-        same_bits = _bits(values_a) == _bits(values_b)
-        distance = _distance(values_a, values_b)
+        self.count(len(rows_a), len(rows_b), len(times))
+        apart = distance(values_a, values_b)
+        self.take(times, (values_a, values_b), apart, by_bits=self._exact)
+
+    def count(self, rows_a: int, rows_b: int, shared: int) -> None:
+        """Count more rows: those of a, those of b, and those at instants of both."""
+        count_a, count_b, count_shared = self._rows
+        self._rows = (count_a + rows_a, count_b + rows_b, count_shared + shared)
+
+    def take(
+        self, times: Nanoseconds, values: tuple[Matrix, Matrix], apart: Matrix, *, by_bits: bool
+    ) -> None:
+        """Take values of both runs at some times, and how far they are apart."""
+        same_bits = _bits(values[0]) == _bits(values[1])
         outside = ~same_bits
-        if not self._exact:
-            outside = ~(distance <= self._tolerance) | np.isinf(distance)
+        if not by_bits:
+            outside = ~(apart <= self._tolerance) | np.isinf(apart)
         self._same_bits = self._same_bits and bool(same_bits.all())
-        self._largest = max(self._largest, float(distance.max(initial=0.0)))
+        self._largest = max(self._largest, float(apart.max(initial=0.0)))
         if self._first is None:
-            self._first = _first_outside(self.name, outside, times, values_a, values_b)
+            self._first = _first_outside(self.name, outside, times, *values)
 
     def result(self, thinned: tuple[bool, bool]) -> SignalDifference:
         """Return how the signal compares in two runs, of which some lack rows."""
@@ -130,15 +143,15 @@ def _bits(values: Matrix) -> NDArray[np.int64]:
     return np.ascontiguousarray(values).view(np.int64)
 
 
-def _distance(a: Matrix, b: Matrix) -> Matrix:
+def distance(a: Matrix, b: Matrix) -> Matrix:
     """Compute |a - b|: 0 where both are NaN or the same infinity, infinite where only one is."""
     with np.errstate(invalid="ignore", over="ignore"):
-        distance = np.abs(a - b)
+        apart = np.abs(a - b)
     # Infinity minus itself is NaN, as is everything minus NaN: first what agrees, then the rest.
     both_nan = np.isnan(a) & np.isnan(b)
-    distance[(a == b) | both_nan] = 0.0
-    distance[np.isnan(distance)] = np.inf
-    return distance
+    apart[(a == b) | both_nan] = 0.0
+    apart[np.isnan(apart)] = np.inf
+    return apart
 
 
 def _first_outside(
