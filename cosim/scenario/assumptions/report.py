@@ -101,7 +101,7 @@ def _of_tables(beginning: Beginning) -> list[NamedVerdict]:
         for name, spec in beginning.scenario.specs.items():
             if isinstance(spec, kind):
                 beginning.context.begin(name)
-                for verdict in check(name, spec, beginning):
+                for verdict in check(name, spec, beginning).verdicts():
                     verdicts.append((name, _resting(verdict, verdicts)))
     return verdicts
 

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Sequence
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.arrays import Matrix
 from cosim.core.port import Port
-from cosim.errors import UsageError, option, quoted
+from cosim.errors import UsageError, option
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.kinds.control import SensorKind
 from cosim.scenario.kinds.identification import IdentifierKind
-from cosim.scenario.kinds.identified_plant import stated_covariance
+from cosim.scenario.kinds.identified_plant import diagonal_covariance, stated_covariance
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
 from cosim.scenario.kinds.regressor import RegressorKind
 from cosim.scenario.kinds.sources import DisturbanceKind
@@ -26,34 +26,35 @@ NOISE_NEEDED: Final = (
 )
 
 
-def covariance_of(noise: Matrix, outputs: int) -> Matrix | None:
-    """Return the covariance of noise from deviations, or as it is; None: they do not fit y."""
-    if noise.ndim == 2:
-        return noise
-    if len(noise) not in (1, outputs):
-        return None
-    return np.diag(np.broadcast_to(noise, outputs) ** 2)
-
-
 def noise_of(
     scenario: Scenario,
     identifier: str,
     observer: str,
+    outputs: int,
     given: float | Sequence[float] | None = None,
 ) -> tuple[Matrix, str]:
-    """Return deviations or covariance of the noise of y, and where they are from.
+    """Return the covariance of the noise of y, and where it is from.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    identifier, observer : str
+    outputs : int
+        The number of elements of y.
+    given : float or sequence of float, optional
+        Deviations, in place of what the tables say.
 
     Raises
     ------
     UsageError
-        If nothing says what they are.
+        If nothing says what it is, or deviations are not positive, or not as many.
     """
     kind = scenario.specs[identifier]
     designed = scenario.specs[observer]
     assert isinstance(kind, IdentifierKind)
     assert isinstance(designed, UnknownInputObserverKind)
     if given is None and kind.deviation is None and kind.covariance is not None:
-        covariance = stated_covariance(None, kind.covariance, len(kind.covariance))
+        covariance = stated_covariance(None, kind.covariance, outputs)
         assert covariance is not None
         return covariance, f"{identifier}.covariance"
     stated = {
@@ -63,21 +64,12 @@ def noise_of(
     }
     for source, values in stated.items():
         if values is not None:
-            try:
-                deviations = np.atleast_1d(np.asarray(values, np.float64))
-                usable = (deviations > 0.0) & (deviations < math.inf)
-                is_row = deviations.ndim == 1 and bool(usable.all())
-            except (TypeError, ValueError):
-                is_row = False
-            if not is_row:
-                raise UsageError(
-                    f"{source}: expected positive finite standard deviations, got {quoted(values)}"
-                )
-            return deviations, source
-    return _noise_of_sensor(scenario, observer)
+            return diagonal_covariance(source, values, outputs), source
+    source, deviations = _noise_of_sensor(scenario, observer)
+    return diagonal_covariance(source, deviations, outputs), source
 
 
-def _noise_of_sensor(scenario: Scenario, observer: str) -> tuple[Matrix, str]:
+def _noise_of_sensor(scenario: Scenario, observer: str) -> tuple[str, NDArray[np.float64]]:
     """Return the noise of the sensor that drives y directly."""
     to = Port(observer, "y")
     connection = scenario.connections.get(to)
@@ -90,10 +82,10 @@ def _noise_of_sensor(scenario: Scenario, observer: str) -> tuple[Matrix, str]:
             f"'{to}' mixes the outputs of {name!r} by a matrix; give the noise of y by "
             f"{option('noise')}"
         )
-    deviations = abs(float(connection.matrix)) * np.atleast_1d(np.asarray(kind.noise, np.float64))
+    deviations = abs(float(connection.matrix)) * np.array(kind.noise, np.float64)
     if not deviations.all():
         raise UsageError(f"{NOISE_NEEDED} {option('noise')}")
-    return deviations, f"{name}.noise"
+    return f"{name}.noise", np.asarray(deviations)
 
 
 def disturbance_among(scenario: Scenario, components: Collection[str]) -> str | None:

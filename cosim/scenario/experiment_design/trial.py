@@ -15,28 +15,21 @@ from typing import Any, Final
 
 import numpy as np
 
-from cosim.arrays import Matrix, Vector, as_columns
-from cosim.core.clock import seconds
+from cosim.arrays import Matrix, Vector
 from cosim.core.contracts import Component
 from cosim.core.graph import Graph
 from cosim.core.master import run
 from cosim.core.port import Port
 from cosim.core.recorders import Memory
 from cosim.errors import UsageError, option
-from cosim.native.estimation.alphas import signals_among
 from cosim.scenario.building.build import Builder
-from cosim.scenario.building.known_truth import (
-    covariance_of,
-    disturbance_among,
-    noise_of,
-    parameters_by_term,
-)
+from cosim.scenario.building.known_truth import disturbance_among, noise_of, parameters_by_term
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.kinds.control import SensorKind
 from cosim.scenario.kinds.field_data import FieldDataKind
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.identification_source import IdentifierSource
-from cosim.scenario.kinds.identified_plant import IdentifiedPlant, inputs_in_feedback
+from cosim.scenario.kinds.identified_plant import NO_SIGNALS, IdentifiedPlant, inputs_in_feedback
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
 from cosim.scenario.kinds.plants import RecordingKind
 from cosim.scenario.kinds.regressor import RegressorKind
@@ -60,26 +53,25 @@ class DesignSubject:
     Parameters
     ----------
     scenario : Scenario
-        Without noise of y.
+    edits : mapping of dotted key to value
+        What takes the noise of y away, and sets theta.
     identifier, regressor, observer : str
         Names of the components.
     upstream : frozenset of str
         The components that the observer follows, and itself; with an alpha that is a signal those
         of the regressor too.
-    noise : Matrix, shape (n,) or (n_y, n_y)
-        Deviations of the noise of y, one or one an output, or its covariance.
-    noise_source : str
-        Where that is from.
+    noise : float, sequence of float or None
+        Deviations of the noise of y, one or one an output; None: the tables say it.
     theta : tuple of float
     """
 
     scenario: Scenario
+    edits: Mapping[str, Any]
     identifier: str
     regressor: str
     observer: str
     upstream: frozenset[str]
-    noise: Vector | Matrix
-    noise_source: str
+    noise: float | Sequence[float] | None
     theta: tuple[float, ...]
 
 
@@ -102,8 +94,8 @@ def subject_of(
     Raises
     ------
     UsageError
-        If there is not one identifier behind one observer, the plant has no model, or the noise or
-        theta is not known.
+        If there is not one identifier behind one observer, the plant has no model, or theta is not
+        known.
     """
     specs = scenario.specs
     identifiers = [name for name, kind in specs.items() if isinstance(kind, IdentifierKind)]
@@ -111,10 +103,15 @@ def subject_of(
         found = ", ".join(identifiers) or "none"
         raise UsageError(f"{scenario.name}: identifiers: expected one to design for, got {found}")
     (identifier,) = identifiers
-    regressor = _driver(scenario, identifier, "regressor", RegressorKind)
-    observer = _driver(scenario, regressor, "delta", UnknownInputObserverKind)
-    designed = specs[observer]
-    if isinstance(designed, UnknownInputObserverKind) and designed.relinearize:
+    regressor = scenario.driver(Port(identifier, "regressor")) or ""
+    observer = scenario.driver(Port(regressor, "delta")) if regressor else None
+    designed = specs.get(observer or "")
+    if observer is None or not isinstance(designed, UnknownInputObserverKind):
+        raise UsageError(
+            f"{identifier!r}: expected one regressor that drives it, and one component of kind "
+            "'unknown-input-observer' that drives the regressor"
+        )
+    if designed.relinearize:
         raise UsageError(
             f"{observer!r} is relinearized at its estimate, so that its response to noise is not "
             "linear; set relinearize = false to design at a single operating point"
@@ -133,32 +130,19 @@ def subject_of(
                 edits |= {f"components.{name}.noise": 0.0, f"components.{name}.jitter": 0.0}
             case NoiseKind():
                 edits[f"components.{name}.deviation"] = 0.0
-    deviations, source = noise_of(scenario, identifier, observer, noise)
     values = _theta(scenario, regressor, upstream, theta, edits)
     if any(to.component == regressor and to.signal == "alpha" for to in scenario.connections):
         upstream = frozenset(scenario.upstream(regressor).specs)
     return DesignSubject(
-        scenario=scenario.edit(set=edits),
+        scenario=scenario,
+        edits=edits,
         identifier=identifier,
         regressor=regressor,
         observer=observer,
         upstream=upstream,
-        noise=deviations,
-        noise_source=source,
+        noise=noise,
         theta=values,
     )
-
-
-def _driver(scenario: Scenario, component: str, signal: str, needed: type[Any]) -> str:
-    name = scenario.driver(Port(component, signal))
-    if name is None or not isinstance(scenario.specs.get(name), needed):
-        found = "several components, or none" if name is None else repr(name)
-        kind = needed.model_fields["kind"].annotation.__args__[0]
-        raise UsageError(
-            f"'{component}.{signal}': expected one component of kind {kind!r} as its source, got "
-            f"{found}"
-        )
-    return name
 
 
 def _theta(
@@ -211,6 +195,8 @@ class Trial:
         What the observer takes in.
     covariance : Matrix, shape (n_y, n_y)
         Of the noise of y.
+    noise_source : str
+        Where that is from.
     regression : RegressionExperiment
         What the observer makes of it.
     delta_of_u : Vector, shape (N,)
@@ -223,6 +209,7 @@ class Trial:
     identified: IdentifiedPlant
     data: DataSet
     covariance: Matrix
+    noise_source: str
     regression: RegressionExperiment
     delta_of_u: Vector
     delays: tuple[float, ...]
@@ -288,44 +275,38 @@ def trial_of(
         If u depends on y, y has values between the samples of a sensor or no model, or the noise
         is of another number of outputs.
     """
-    scenario = subject.scenario.edit(set=settings if edits is None else edits)
+    changes = settings if edits is None else edits
+    scenario = subject.scenario.edit(set={**subject.edits, **changes})
     observer = subject.observer
     with ExitStack() as resources:
         builder = Builder(scenario, resources)
         builder.check()
         graph = builder.graph_of(subject.upstream)
         identified = _identified(builder, subject, graph)
+        covariance, source = noise_of(
+            subject.scenario,
+            subject.identifier,
+            observer,
+            len(identified.plant.C),
+            subject.noise,
+        )
         recording = Memory()
         run(graph, builder.clock, recording)
-        t = seconds(recording.time_ns(observer))
-        delta = np.asarray(recording[f"{observer}.delta"])
-        signals = np.zeros((len(t), 0))
-        if signals_among(identified.alphas):
-            signals = as_columns(recording[f"{subject.regressor}.alpha"])
-        inputs = graph.layout[observer].interface.input_columns()
-        y = inputs["y"]
-        u = inputs.get("u", slice(0, 0))
-        rows = recording.rows(observer)
-        data = identified.data_set(graph, t, rows[:, y], rows[:, u], signals)
-        covariance = covariance_of(subject.noise, len(identified.plant.C))
-        if covariance is None:
-            raise UsageError(
-                "noise: expected one number, or one for each of "
-                f"{len(identified.plant.C)} outputs, got {len(subject.noise)}"
-            )
+        t, rows = identified.recorded(recording)
+        data = identified.data_set(graph, t, rows)
         response = _ObserverResponse(builder.components[observer], t)
         regressor = scenario.specs[subject.regressor]
         assert isinstance(regressor, RegressorKind)
         lag = scenario.specs[observer].lag(observer, "delta", builder.context)
         settled, start = _start(builder, subject.identifier, max(regressor.delays))
         regression = RegressionExperiment(
-            delta=delta,
-            alpha=identified.alpha_at(t - lag, t, signals),
+            delta=np.asarray(recording[f"{observer}.delta"]),
+            alpha=identified.alpha_at(t - lag, t, rows.get("alpha", NO_SIGNALS)),
             names=tuple(alpha.text for alpha in identified.alphas),
             families=identified.families,
             theta=np.array(subject.theta),
             step=builder.clock.h,
-            noise=response.to_noise(y, covariance),
+            noise=response.to_noise(covariance),
             settled=settled,
             start=start,
         )
@@ -334,8 +315,9 @@ def trial_of(
             identified=identified,
             data=data,
             covariance=covariance,
+            noise_source=source,
             regression=regression,
-            delta_of_u=response.to_input(data, identified, y, u),
+            delta_of_u=response.to_input(data, identified),
             delays=regressor.delays,
         )
 
@@ -353,38 +335,37 @@ class _ObserverResponse:
 
     def __init__(self, component: Component, t: Vector) -> None:
         self._component = component
+        self._inputs = component.interface.input_columns()
         self._t = t[: _SPAN_OF_NOISE + 1]
         self._delta = component.interface.output_columns()["delta"].start
-        self._of_nothing = self._driven(self._no_input())
+        self._of_nothing = self._driven()
 
-    def to_noise(self, y: slice, covariance: Matrix) -> ReconstructionNoise:
+    def to_noise(self, covariance: Matrix) -> ReconstructionNoise:
         """Return the noise of delta, once it has values."""
         # at the first point the input sets the initial state too, which noise does only once
         first = int(np.argmax(np.isfinite(self._of_nothing))) + 1
         responses = []
         for column in np.linalg.cholesky(covariance).T:
-            u = self._no_input()
-            u[first, y] = column
-            response = self._driven(u) - self._of_nothing
+            y = np.zeros((len(self._t), len(column)))
+            y[first] = column
+            response = self._driven(y=y) - self._of_nothing
             responses.append(response[first:])
         return ReconstructionNoise(np.array(responses).T)
 
-    def to_input(self, data: DataSet, identified: IdentifiedPlant, y: slice, u: slice) -> Vector:
+    def to_input(self, data: DataSet, identified: IdentifiedPlant) -> Vector:
         """Return the part of delta that the known input makes, through the plant and at once."""
         plant = identified.plant
         x = simulate(plant.A, plant.B, data.t, data.u, np.zeros(len(plant.A)), data.is_held)
-        followed = len(self._t)
-        driven = self._no_input()
-        driven[:, u] = data.u[:followed]
-        driven[:, y] = (x @ plant.C.T + data.u @ plant.D.T)[:followed]
         delta = np.full(len(data.t), np.nan)
-        delta[:followed] = self._driven(driven) - self._of_nothing
+        driven = self._driven(y=x @ plant.C.T + data.u @ plant.D.T, u=data.u)
+        delta[: len(self._t)] = driven - self._of_nothing
         return delta
 
-    def _no_input(self) -> Matrix:
-        return np.zeros((len(self._t), self._component.interface.n_u))
-
-    def _driven(self, u: Matrix) -> Vector:
+    def _driven(self, **signals: Matrix) -> Vector:
+        """Return delta of inputs by name; those that are not given are 0."""
+        u = np.zeros((len(self._t), self._component.interface.n_u))
+        for name, values in signals.items():
+            u[:, self._inputs.get(name, slice(0, 0))] = values[: len(u)]
         begin, second = map(float, self._t[:2])
         self._component.initialize(begin, u[0])
         initial = self._component.outputs(begin, u[0])

@@ -258,7 +258,7 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
         if self.bounds is not None:
             parameters = sum(len(family.parameters) for family in design.families)
             bounds = bounds_of([list(row) for row in self.bounds], parameters)
-        source.kind.check_distinguishable(context, bounds)
+        design.check_distinguishable(context.clock, bounds)
         identified = IdentifiedPlant(
             problem=problem,
             observer=observer.name,

@@ -11,23 +11,26 @@ plant without states, input and disturbance.
 
 from __future__ import annotations
 
-import math
-import sys
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
-from cosim.arrays import Mask, Matrix, Vector
+from cosim.arrays import Mask, Matrix, Vector, as_columns
+from cosim.core.clock import seconds
+from cosim.core.connections import components_driving
 from cosim.core.contracts import Block
 from cosim.core.graph import Graph
 from cosim.core.port import Port
+from cosim.core.recording import Recording
 from cosim.core.structure.cycles import reached_from
-from cosim.errors import AssumptionError, RunError, UsageError
+from cosim.errors import AssumptionError, RunError, UsageError, quoted
 from cosim.native.estimation.alphas import Alpha, AlphaSignal, signals_among
 from cosim.native.numerics.programs import evaluate_at
+from cosim.scenario.document.schema import Limit
 from cosim.scenario.record import IdentifierVerdicts, IrregularEffect, IrregularPart
 from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
@@ -47,6 +50,8 @@ if TYPE_CHECKING:
 ThetaBounds: TypeAlias = Sequence[Sequence[float]] | Mapping[int, tuple[float, float]]
 OUTPUT_ERROR: Final = "output-error"
 IDENTIFY_WITH_OFFSET: Final = "`cosim identify --offset`"
+NO_SIGNALS: Final = np.zeros((0, 0))
+_INTERVAL: Final = TypeAdapter(tuple[Limit, Limit])
 FREQUENCIES: Final = 1025  # of a spectrum, from 0 to half the sampling frequency
 
 
@@ -138,7 +143,7 @@ class IdentifiedPlant:
         """
         for signal in signals_among(self.alphas):
             raise AssumptionError(f"alpha {signal.text!r} is a signal, known only during the run")
-        return self.alpha_at(t, t, np.zeros((len(t), 0)))
+        return self.alpha_at(t, t, NO_SIGNALS)
 
     def alpha_at(self, t: Vector, points: Vector, signals: Matrix) -> Matrix:
         """Return the known factors at instants, those that are signals by interpolation.
@@ -164,14 +169,23 @@ class IdentifiedPlant:
             data, self.plant, self.families, self.stated, self.offset, self.bounds
         )
 
+    @property
+    def ports(self) -> dict[str, Port]:
+        """What the observer takes in, y and u, and the signals among the alphas, as ``alpha``."""
+        ports = {"y": Port(self.observer, "y")}
+        if self.plant.D.shape[1]:
+            ports["u"] = Port(self.observer, "u")
+        if signals_among(self.alphas):
+            ports["alpha"] = Port(self.regressor, "alpha")
+        return ports
+
+    def recorded(self, run: Recording) -> tuple[Vector, dict[str, Matrix]]:
+        """Return what :meth:`data_set` takes from a recording: instants, and rows by port."""
+        t = seconds(run.time_ns(self.observer))
+        return t, {name: as_columns(run[port]) for name, port in self.ports.items()}
+
     def data_set(
-        self,
-        graph: Graph,
-        t: Vector,
-        y: Matrix,
-        u: Matrix,
-        signals: Matrix,
-        samples: SampleRows | None = None,
+        self, graph: Graph, t: Vector, rows: Mapping[str, Matrix], samples: SampleRows | None = None
     ) -> DataSet:
         """Return what the observer took in as the data of output error.
 
@@ -180,10 +194,8 @@ class IdentifiedPlant:
         graph : Graph
             That it was in: which of u had a zero-order hold, and which depend on y.
         t : Vector, shape (N,)
-        y : Matrix, shape (N, n_y)
-        u : Matrix, shape (N, n_u)
-        signals : Matrix, shape (N, signals)
-            Those among the alphas.
+        rows : mapping of name to Matrix, shape (N, size)
+            As of :attr:`ports`.
         samples : SampleRows, optional
             What counts in the place of y.
 
@@ -195,9 +207,11 @@ class IdentifiedPlant:
         inputs = graph.layout[self.observer].interface.input_columns()
         held = graph.held[self.observer][inputs.get("u", slice(0, 0))]
         points = t
+        y = rows["y"]
+        u = rows.get("u", np.zeros((len(t), 0)))
         if samples is not None:
             t, y, u = samples.beside(t, u, held, y.shape[1])
-        alpha = self.alpha_at(t, points, signals)
+        alpha = self.alpha_at(t, points, rows.get("alpha", NO_SIGNALS))
         self.check_alphas(t, alpha)
         in_feedback = inputs_in_feedback(graph, self.observer) | self.closed_loop
         return DataSet(t, y, u, alpha, held, np.isin(t, points), in_feedback)
@@ -277,25 +291,19 @@ def bounds_of(rows: object, parameters: int) -> dict[int, tuple[float, float]]:
 
 
 def _bounds_of_one(row: object, j: int) -> tuple[float, float]:
-    if not isinstance(row, list | tuple) or len(row) != 2 or not all(map(_is_number, row)):
+    try:
+        lower, upper = _INTERVAL.validate_python(row)
+    except ValidationError as error:
         raise UsageError(
             f"bounds of theta[{j}]: expected two numbers, [lower, upper], inf where there is "
             f"none, such as [-1, inf], got {row}"
-        )
-    lower, upper = map(float, row)
+        ) from error
     if not lower <= upper or lower == np.inf or upper == -np.inf:
         raise UsageError(
             f"bounds of theta[{j}]: expected lower <= upper with numbers between them, -inf or "
             f"inf where there is no bound, got [{lower:g}, {upper:g}]"
         )
     return lower, upper
-
-
-def _is_number(value: object) -> bool:
-    """Return whether a value is one of a double: not NaN, nor an integer that is too large."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    return abs(value) <= sys.float_info.max or abs(value) == math.inf
 
 
 def stated_covariance(
@@ -313,15 +321,7 @@ def stated_covariance(
     if deviation is not None and covariance is not None:
         raise UsageError("expected at most one of deviation and covariance, got both")
     if deviation is not None:
-        deviations = np.array(deviation, np.float64)
-        if deviations.ndim and deviations.shape != (outputs,):
-            raise UsageError(
-                f"deviation: expected one number, or one per output ({outputs}), got "
-                f"{deviations.size}"
-            )
-        if not ((deviations > 0.0) & (deviations < np.inf)).all():
-            raise UsageError(f"deviation: expected positive finite numbers, got {deviation}")
-        return np.diag(np.broadcast_to(deviations, outputs) ** 2)
+        return diagonal_covariance("deviation", deviation, outputs)
     if covariance is None:
         return None
     if any(len(row) != outputs for row in covariance) or len(covariance) != outputs:
@@ -337,6 +337,36 @@ def stated_covariance(
     return matrix
 
 
+def diagonal_covariance(source: str, deviations: object, outputs: int) -> Matrix:
+    """Return the covariance of independent noise, shape (outputs, outputs).
+
+    Parameters
+    ----------
+    source : str
+        Where the deviations are from, for messages.
+    deviations : object
+        One number, or one per output.
+    outputs : int
+
+    Raises
+    ------
+    UsageError
+        If they are not that, or not positive.
+    """
+    try:
+        row = np.array(deviations, np.float64)
+        is_row = row.ndim < 2 and bool(((row > 0.0) & (row < np.inf)).all())
+    except (TypeError, ValueError):
+        is_row = False
+    if not is_row:
+        raise UsageError(f"{source}: expected positive finite numbers, got {quoted(deviations)}")
+    if row.ndim and len(row) != outputs:
+        raise UsageError(
+            f"{source}: expected one number, or one per output ({outputs}), got {len(row)}"
+        )
+    return np.diag(np.broadcast_to(row, outputs) ** 2)
+
+
 # --- verdicts ---
 
 
@@ -350,83 +380,66 @@ class Assessor:
     """
 
     def __init__(self, graph: Graph, identified: Mapping[str, IdentifiedPlant]) -> None:
-        self._identifiers = {
-            name: _IdentifierData(graph, name, one) for name, one in identified.items()
-        }
-
-    def take(self, block: Block, signals: Matrix) -> None:
-        """Keep the rows of a block."""
-        for data in self._identifiers.values():
-            data.take(block, signals)
-
-    def results(self) -> dict[str, Any]:
-        """Return the verdicts by identifier, as plain values."""
-        return {name: data.verdicts().to_dict() for name, data in self._identifiers.items()}
-
-
-class _IdentifierData:
-    """The data of one identifier: y and u of its observer, the alphas, its last estimate."""
-
-    def __init__(self, graph: Graph, name: str, identified: IdentifiedPlant) -> None:
-        own = graph.layout[name].signal_columns
-        of_observer = graph.layout[identified.observer].signal_columns
-        none = slice(0, 0)
-        self._identified = identified
-        self._theta = own.get("theta", none)  # there is none without parameters
-        self._error = own.get("standard_error")
-        self._kept = {
-            "y": of_observer["y"],
-            "u": of_observer.get("u", none),
-            "alpha": graph.layout[identified.regressor].signal_columns.get("alpha", none),
-        }
-        if "samples" in own:
-            self._kept |= {key: own[key] for key in ("sample_times", "samples")}
         self._graph = graph
+        self._identified = identified
         self._times: list[Vector] = []
-        self._rows: dict[str, list[Matrix]] = {key: [] for key in self._kept}
+        self._rows: dict[Port, list[Matrix]] = {}
+        for name, one in identified.items():
+            own = [Port(name, key) for key in ("sample_times", "samples")]
+            self._rows |= {port: [] for port in (*one.ports.values(), *own)}
         self._last = np.zeros(0)
+
+    def _columns(self, port: Port) -> slice:
+        """Return where a signal is in the row; nowhere: it is not there."""
+        return self._graph.layout[port.component].signal_columns.get(port.signal, slice(0, 0))
 
     def take(self, block: Block, signals: Matrix) -> None:
         """Keep the rows of a block."""
         first = 1 if self._times else 0
         self._times.append(block.time[first:].copy())
-        for key, columns in self._kept.items():
-            self._rows[key].append(signals[first:, columns].copy())
+        for port, rows in self._rows.items():
+            rows.append(signals[first:, self._columns(port)].copy())
         self._last = signals[-1].copy()
 
-    def verdicts(self) -> IdentifierVerdicts:
+    def results(self) -> dict[str, Any]:
+        """Return the verdicts by identifier, as plain values."""
+        return {name: self._verdicts(name).to_dict() for name in self._identified}
+
+    def _verdicts(self, name: str) -> IdentifierVerdicts:
         """Return the verdicts on the last estimate, or why there are none."""
         if not self._times:
             return IdentifierVerdicts(problem="the run ended before there were data")
-        if self._identified.problem:
-            return IdentifierVerdicts(problem=self._identified.problem)
+        if self._identified[name].problem:
+            return IdentifierVerdicts(problem=self._identified[name].problem)
         try:
-            return self._assessed()
+            return self._assessed(name, self._identified[name])
         except (AssumptionError, np.linalg.LinAlgError) as error:
             return IdentifierVerdicts(problem=str(error))
 
-    def _assessed(self) -> IdentifierVerdicts:
-        identified = self._identified
+    def _kept(self, port: Port) -> Matrix:
+        return np.concatenate(self._rows[port])
+
+    def _assessed(self, name: str, identified: IdentifiedPlant) -> IdentifierVerdicts:
         t = np.concatenate(self._times)
-        rows = {key: np.concatenate(parts) for key, parts in self._rows.items()}
         samples = None
-        if "samples" in rows:
-            samples = SampleRows(t, rows["sample_times"], rows["samples"])
-        data = identified.data_set(self._graph, t, rows["y"], rows["u"], rows["alpha"], samples)
-        theta = self._last[self._theta]
+        values = self._kept(Port(name, "samples"))
+        if values.shape[1]:
+            samples = SampleRows(t, self._kept(Port(name, "sample_times")), values)
+        rows = {key: self._kept(port) for key, port in identified.ports.items()}
+        data = identified.data_set(self._graph, t, rows, samples)
+        theta = self._last[self._columns(Port(name, "theta"))]  # none without parameters
+        error = self._last[self._columns(Port(name, "standard_error"))]
         fitted = assess(identified.problem_of([data.last(identified.window)]), theta)
         assessment = advised(fitted, [identified.alpha])
         amplitudes = amplitude_verdicts(assessment)
         with_offset = "`offset = true`" if identified.has_offset_key else IDENTIFY_WITH_OFFSET
-        error = None if self._error is None else self._last[self._error]
-        bound = identified.irregular
         return replace(
             verdicts_of(assessment),
             extent=identified.extent,
             amplitudes=amplitudes,
             undetected=undetected_errors(assessment, amplitudes, with_offset=with_offset),
-            estimate=judge(assessment, theta, error),
-            irregular=None if bound is None else _irregular(assessment, bound),
+            estimate=judge(assessment, theta, error if len(error) else None),
+            irregular=_irregular(assessment, identified.irregular),
         )
 
 
@@ -435,8 +448,10 @@ def verdicts_of(assessment: Assessment) -> IdentifierVerdicts:
     return IdentifierVerdicts(**assessment.to_dict() | {"parameters": assessment.parameters})
 
 
-def _irregular(assessment: Assessment, bound: float) -> IrregularPart:
+def _irregular(assessment: Assessment, bound: float | None) -> IrregularPart | None:
     """Return what an irregular part within its bound leaves open, or why that is not known."""
+    if bound is None:
+        return None
     from cosim.theory.bounded.irregular_part import Programs  # rarely needed
 
     try:
@@ -448,26 +463,20 @@ def _irregular(assessment: Assessment, bound: float) -> IrregularPart:
 
 def irregular_part(bound: float, interval: GuaranteedInterval) -> IrregularPart:
     """Return what an interval that is guaranteed for a bound says of every theta."""
+    columns = (interval.lower, interval.upper, interval.half_width, interval.first_order_holds)
     effects = []
-    for j, half_width in enumerate(interval.half_width.tolist()):
-        lower = float(interval.lower[j])
-        upper = float(interval.upper[j])
-        effects.append(
-            IrregularEffect(
-                name=f"theta[{j}]",
-                first_order=half_width,
-                holds=bool(interval.first_order_holds[j]),
-                is_explained=not (np.isnan(lower) or np.isnan(upper)),
-                lower=lower if np.isfinite(lower) else None,
-                upper=upper if np.isfinite(upper) else None,
-            )
+    for j, (lower, upper, half_width, holds) in enumerate(zip(*columns, strict=True)):
+        effect = IrregularEffect(
+            name=f"theta[{j}]",
+            first_order=float(half_width),
+            holds=bool(holds),
+            is_explained=not np.isnan([lower, upper]).any(),
+            lower=float(lower) if np.isfinite(lower) else None,
+            upper=float(upper) if np.isfinite(upper) else None,
         )
-    return IrregularPart(
-        bound=bound,
-        effects=tuple(effects),
-        confidence=interval.confidence,
-        unsolved=0 if interval.feasible is None else interval.feasible.unsolved,
-    )
+        effects.append(effect)
+    unsolved = 0 if interval.feasible is None else interval.feasible.unsolved
+    return IrregularPart(bound, tuple(effects), interval.confidence, unsolved)
 
 
 def interval_of(
@@ -581,16 +590,13 @@ def inputs_in_feedback(graph: Graph, observer: str) -> Mask:
     u = graph.layout[observer].interface.input_columns().get("u", slice(0, 0))
     in_feedback = np.zeros(u.stop - u.start, np.bool_)
     drives: defaultdict[str, set[str]] = defaultdict(set)
-    front: set[str] = set()
     for to, connection in graph.connections.items():
-        sources = {source.component for source in connection.sources}
-        if (to.component, to.signal) == (observer, "y"):
-            front |= sources
-        for source in sources:
-            drives[source].add(to.component)
+        for source in connection.sources:
+            drives[source.component].add(to.component)
+    front = components_driving(graph.connections, Port(observer, "y"))
     dependent = reached_from(set().union(*(drives[name] for name in front)), drives)
     for to, connection in graph.connections.items():
         follows_y = any(source.component in dependent for source in connection.sources)
-        if follows_y and (to.component, to.signal) == (observer, "u"):
-            in_feedback[graph.ports.input(Port(observer, "u", to.element)).elements] = True
+        if follows_y and to.whole == Port(observer, "u"):
+            in_feedback[graph.ports.input(to).elements] = True
     return in_feedback

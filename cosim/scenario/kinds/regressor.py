@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
 
 import numpy as np
@@ -33,17 +32,13 @@ from cosim.scenario.kinds.alphas import (
     signals_of,
     unchecked,
 )
-from cosim.scenario.kinds.base import (
-    BuildContext,
-    ExportableKind,
-    Kind,
-    Wiring,
-)
+from cosim.scenario.kinds.base import BuildContext, ExportableKind, Kind, Wiring
 from cosim.scenario.kinds.terms import FamilyTerm, element_count, families_of
 from cosim.scenario.kinds.values import ImpliedConnection, KnownSignal, Spectrum
 from cosim.theory.disturbances import regression
 from cosim.theory.disturbances.distinguishable import check_distinguishable, check_exchangeable
 from cosim.theory.disturbances.families import AlphaGroup, Family, group_by_alpha
+from cosim.theory.estimators.output_error import NO_BOUNDS
 
 if TYPE_CHECKING:
     from cosim.fmi.exporting.specifications import Exportable
@@ -58,7 +53,7 @@ SAMPLES: Final = 512  # of an alpha, where it is checked
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RegressorDesign:
-    """The regression of a disturbance class, its alphas compiled.
+    """The regression of a disturbance class, its alphas compiled; without delays the class alone.
 
     Parameters
     ----------
@@ -81,10 +76,10 @@ class RegressorDesign:
     families: Sequence[Family]
     alphas: Sequence[Alpha]
     elements: Sequence[int]
-    functions: Mapping[str, KnownSignal]
-    steps: Sequence[int]
-    delays: Sequence[float]
-    lag: float
+    functions: Mapping[str, KnownSignal] = field(default_factory=dict)
+    steps: Sequence[int] = ()
+    delays: Sequence[float] = ()
+    lag: float = 0.0
 
     @cached_property
     def members(self) -> list[list[int]]:
@@ -134,6 +129,11 @@ class RegressorDesign:
     def sizes(self) -> tuple[int, ...]:
         """The number of basis functions of each group."""
         return tuple(group.size for group in self.groups)
+
+    @property
+    def delays_needed(self) -> int:
+        """One more than the basis functions of the element of delta that has most."""
+        return 1 + max(sum(part.sizes) for part in self.by_element)
 
     @cached_property
     def is_expanded(self) -> bool:
@@ -191,6 +191,21 @@ class RegressorDesign:
             grid = np.linspace(min(first, clock.stop), clock.stop, SAMPLES)
         return grid[:, np.newaxis] - ages
 
+    def check_distinguishable(
+        self, clock: Clock, bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS
+    ) -> None:
+        """Check that no two terms say the same, whatever theta within the bounds is.
+
+        Raises
+        ------
+        AssumptionError
+            If two do.
+        """
+        texts = [alpha.text for alpha in self.alphas]
+        factors = list(zip(texts, self.elements, strict=True))
+        span = clock.steps * clock.h
+        check_distinguishable(self.families, factors, texts, bounds=bounds, span=span)
+
     def check_known(self, clock: Clock, *, estimates_eta: bool) -> None:
         """Check the alphas as far as they are known before the run.
 
@@ -208,6 +223,12 @@ class RegressorDesign:
         for part in self.by_element:
             if not part.known.unknown:
                 part._check(part.known, part.times_before(clock), estimates_eta)
+
+    def independence(self, clock: Clock) -> float:
+        """Return by how much the products of the alphas are independent, all of them known."""
+        times = self.times_before(clock)
+        sampled = self.known(times.ravel()).reshape(*times.shape, len(self.groups))
+        return regression.independence(self.terms, sampled)
 
     def check_recorded(self, t: Vector, alpha: Matrix, *, estimates_eta: bool) -> None:
         """Check the alphas where only the run has computed them, if it is longer than the delays.
@@ -353,25 +374,33 @@ class RegressorKind(ExportableKind):
         """Return the regression of the given terms."""
         return context.designed(name, lambda: self._designed(name, context))
 
-    def _designed(self, name: str, context: BuildContext) -> RegressorDesign:
+    def disturbance_class(self) -> RegressorDesign:
+        """Return the class of the disturbance alone, with the alphas as they are written.
+
+        Raises
+        ------
+        UsageError
+            If a term is none, or an element of delta has no term.
+        """
         families = families_of(self.terms)
-        steps = self.delay_steps(context)  # before what needs all times of the run
-        alphas = alphas_of(name, self.alphas, context, ALPHA_WAY_OUT)
-        self.check_distinguishable(context)
         elements = [term.element for term in self.terms]
-        sizes = [0] * element_count(self.terms)
-        for family, element in zip(families, elements, strict=True):
-            sizes[element] += family.v
-        if 0 in sizes:
+        count = element_count(self.terms)
+        missing = set(range(count)).difference(elements)
+        if missing:
             raise UsageError(
-                f"terms: expected at least one term for each of {len(sizes)} elements of delta, "
-                f"got none for element {sizes.index(0)}"
+                f"terms: expected at least one term for each of {count} elements of delta, got "
+                f"none for element {min(missing)}"
             )
-        regression.check_delays(self.delays, max(sizes) + 1)
-        design = RegressorDesign(
-            families=families,
+        return RegressorDesign(families=families, alphas=unchecked(self.alphas), elements=elements)
+
+    def _designed(self, name: str, context: BuildContext) -> RegressorDesign:
+        of_class = self.disturbance_class()
+        steps = self.delay_steps(of_class, context)  # before what needs all times of the run
+        alphas = alphas_of(name, self.alphas, context, ALPHA_WAY_OUT)
+        of_class.check_distinguishable(context.clock)
+        design = replace(
+            of_class,
             alphas=alphas,
-            elements=elements,
             functions=known_functions(alphas, context),
             steps=steps,
             delays=self.delays,
@@ -380,33 +409,18 @@ class RegressorKind(ExportableKind):
         design.check_known(context.clock, estimates_eta=False)
         return design
 
-    def check_distinguishable(
-        self,
-        context: BuildContext,
-        bounds: Mapping[int, tuple[float, float]] = MappingProxyType({}),
-    ) -> None:
-        """Check that no two terms say the same, whatever theta within the bounds is.
+    def delay_steps(self, of_class: RegressorDesign, context: BuildContext) -> list[int]:
+        """Return the delays in communication steps.
 
         Raises
         ------
-        AssumptionError
-            If two do.
+        UsageError, AssumptionError
+            If they are no whole steps, not as many as the class needs, or not different.
         """
-        texts = [alpha.text for alpha in unchecked(self.alphas)]
-        elements = [term.element for term in self.terms]
-        check_distinguishable(
-            families_of(self.terms),
-            list(zip(texts, elements, strict=True)),
-            texts,
-            bounds=bounds,
-            span=context.clock.steps * context.clock.h,
-        )
-
-    def delay_steps(self, context: BuildContext) -> list[int]:
-        """Return the delays in communication steps."""
         steps = []
         for j, delay in enumerate(self.delays):
             steps.append(whole_steps(delay, context.step_ns, f"delays[{j}]"))
+        regression.check_delays(self.delays, of_class.delays_needed)
         return steps
 
 

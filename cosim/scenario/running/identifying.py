@@ -25,7 +25,6 @@ from cosim.core.recording import CompleteRecording
 from cosim.core.structure.ports import Ports
 from cosim.errors import UsageError, nearest, quoted
 from cosim.log import open_log
-from cosim.native.estimation.alphas import signals_among
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.kinds.identified_plant import (
     IDENTIFY_WITH_OFFSET,
@@ -189,19 +188,11 @@ def identifier_record(log: CompleteRecording, identifier: str | None = None) -> 
         experiment = rebuilt(log, resources)
         name = _chosen(log, experiment.identified, identifier)
         identified = experiment.identified[name]
-        observer = identified.observer
         samples = _samples(log, experiment, name)
     if identified.problem:
         raise UsageError(f"{log.label}: {identified.problem}")
-    t = seconds(log.time_ns(observer))
-    y = as_columns(log[f"{observer}.y"])
-    u = np.zeros((len(t), 0))
-    if "u" in log.channels[observer].by_name:
-        u = as_columns(log[f"{observer}.u"])
-    signals = np.zeros((len(t), 0))
-    if signals_among(identified.alphas):
-        signals = as_columns(log[f"{identified.regressor}.alpha"])
-    data = identified.data_set(experiment.graph, t, y, u, signals, samples)
+    t, rows = identified.recorded(log)
+    data = identified.data_set(experiment.graph, t, rows, samples)
     return IdentifierRecord(log, name, identified, data)
 
 
@@ -327,28 +318,26 @@ def _check_beside(record: IdentifierRecord, used: Sequence[IdentifierRecord]) ->
         If the plants or the classes of their disturbances differ, by the first difference; or if a
         log of the same rows is used already, so that data would count twice.
     """
+    own = record.data
     for other in used:
-        times = np.array_equal(other.data.t, record.data.t)
-        outputs = np.array_equal(other.data.y, record.data.y, equal_nan=True)
-        if times and outputs and np.array_equal(other.data.u, record.data.u):
+        data = other.data
+        is_same_y = np.array_equal(data.y, own.y, equal_nan=True)
+        if is_same_y and np.array_equal(data.t, own.t) and np.array_equal(data.u, own.u):
             raise UsageError(
                 f"{record.log.label} has the rows of {other.log.label}, which is used in the fit; "
                 "expected data of another run"
             )
-    for first in used[:1]:
+        plants = (other.identified.plant, record.identified.plant)
         differences = [
             f"the design models differ in {field.name}"
             for field in fields(DisturbedPlant)
-            if not np.array_equal(
-                getattr(first.identified.plant, field.name),
-                getattr(record.identified.plant, field.name),
-            )
+            if not np.array_equal(*(getattr(plant, field.name) for plant in plants))
         ]
-        if list(first.identified.families) != list(record.identified.families):
+        if list(other.identified.families) != list(record.identified.families):
             differences.append("the terms of their regressors differ in family")
         if differences:
             raise UsageError(
-                f"{first.log.label} and {record.log.label}: {differences[0]}; expected one model"
+                f"{other.log.label} and {record.log.label}: {differences[0]}; expected one model"
             )
 
 
