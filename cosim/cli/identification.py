@@ -34,19 +34,17 @@ def identify(given: Given) -> bool:
     """
     from cosim.report.tables.identification import report_identification, show_identification
     from cosim.scenario.document.document import parse_value
-    from cosim.scenario.kinds.identified_plant import bounds_of
-    from cosim.scenario.running.identifying import identifier_record, identify_records
+    from cosim.scenario.running.identifying import identifier_record
 
     irregular = given.irregular
     if irregular is not None and not 0.0 < irregular < float("inf"):
         raise UsageError(f"--irregular: expected a positive number, got {irregular:g}")
     check_plot(given.plot)
-    records = [identifier_record(cosim.open_log(log), given.component) for log in given.logs]
-    others = [identifier_record(cosim.open_log(log), given.component) for log in given.validate]
-    bounds = None
-    if given.bounds is not None:
-        bounds = bounds_of(parse_value(given.bounds), records[0].identified.parameters)
-    identification = identify_records(records, offset=given.offset, bounds=bounds)
+    others = [identifier_record(log, given.component) for log in given.validate]
+    bounds = None if given.bounds is None else parse_value(given.bounds)
+    identification = cosim.identify(
+        given.logs, identifier=given.component, offset=given.offset, bounds=bounds
+    )
     if irregular is not None and not given.json:
         print_notice(
             "note: the guaranteed interval rests on linear programs, which take seconds to minutes"

@@ -13,7 +13,6 @@ from cosim.report.estimators import IF_WRONG
 from cosim.report.summary import summarize
 from cosim.report.tables.identification import report_identification
 from cosim.scenario.record import IDENTIFICATION
-from cosim.scenario.running.identifying import identifier_record, identify_records
 
 FAST = {"scenario.step": 0.02, "observer.filter_rate": 50.0}
 
@@ -58,7 +57,7 @@ def rows(output):
 
 def identified(path, **options):
     """Return what is identified from one log."""
-    return identify_records([identifier_record(cosim.open_log(path))], **options)
+    return cosim.identify(path, **options)
 
 
 # --- tables ---

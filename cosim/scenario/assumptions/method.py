@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final
@@ -22,7 +23,7 @@ from cosim.scenario.kinds.base import BuildContext
 from cosim.scenario.kinds.build_record import DependsOnInvalid
 from cosim.scenario.kinds.compensators import CompensatorKind, observer_in_loop
 from cosim.scenario.kinds.identification import IdentifierKind
-from cosim.scenario.kinds.identification_source import IdentifierSource, start_time
+from cosim.scenario.kinds.identification_source import IdentifierSource
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
 from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
 from cosim.scenario.kinds.variants import LINEAR_METHODS
@@ -270,7 +271,7 @@ class _Identifier(_Checked):
         return IdentifierSource(self.name, self.context)
 
     def _start(self) -> Evidence:
-        T_id = start_time(self.kind.start, self._source, self.context)
+        T_id = self._source.start_time(self.kind.start)
         stop = self.context.clock.stop
         times = self.context.metadata.get(self.name, {})
         values: dict[str, Any] = {"start_time": T_id, "stop": stop}
@@ -353,7 +354,7 @@ class _Identifier(_Checked):
     def _regression(self, design: RegressorDesign, delta: Vector, of_groups: Matrix) -> Matrix:
         """Return mu of the disturbance itself, from the start time on."""
         clock = self.beginning.clock
-        T_id = start_time(self.kind.start, self._source, self.context)
+        T_id = self._source.start_time(self.kind.start)
         begin = round((T_id - clock.start_time) / clock.h)
         if len(delta) - begin < 2:
             raise AssumptionError(f"the run ends before T_id = {T_id:g} s")
@@ -437,10 +438,9 @@ class _Compensation(_Checked):
     @cached_property
     def _identifier(self) -> str | None:
         """The identifier whose theta it takes, where it takes one directly."""
-        try:
+        with suppress(DependsOnInvalid):
             return self.context.driver(Port(self.name, "theta"))
-        except DependsOnInvalid:
-            return None
+        return None
 
     @cached_property
     def _theta(self) -> Vector | None:
@@ -520,16 +520,15 @@ class _Compensation(_Checked):
         condition = f"active once the 95 % interval of theta is within {box.text}"
         theta = self._theta
         if theta is None:
-            rest = f"its standard error is at most {largest_error:g} of it"
-            return f"{condition} and {rest}", values
+            return f"{condition} and its standard error is at most {largest_error:g} of it", values
+        never = "the internal model is never activated"
         activation = Activation(box.lower, box.upper, largest_error)
         allowed = activation.largest_standard_error(theta)
         values["largest_standard_error"] = allowed.tolist()
         if (allowed <= 0.0).any():
-            reason = activation.reason(theta, np.zeros(len(theta)))
             at_end = f"theta = {_numbers(theta)} is on the boundary of the certified {box.text}"
             raise AssumptionError(
-                f"the internal model is never activated: {reason or at_end}",
+                f"{never}: {activation.reason(theta, np.zeros(len(theta))) or at_end}",
                 cure="choose an interval that contains the theta of the disturbance",
             )
         needed = (
@@ -542,10 +541,8 @@ class _Compensation(_Checked):
         values["least_standard_error"] = reached.tolist()
         least = f"at best y allows {_numbers(reached)} by the end of the run (Cramer-Rao bound)"
         if not (reached <= allowed).all():
-            raise AssumptionError(
-                f"the internal model is never activated: {needed}, and {least}",
-                cure="use a longer run, less noise of y, or a larger largest_error or interval",
-            )
+            cure = "use a longer run, less noise of y, or a larger largest_error or interval"
+            raise AssumptionError(f"{never}: {needed}, and {least}", cure=cure)
         return f"{condition}: {needed}; {least}", values
 
     def _least_error(self, theta: Vector) -> Vector | None:
@@ -553,17 +550,15 @@ class _Compensation(_Checked):
 
         What u does to y is known, so that the bound is that without u, also in this loop.
         """
-        builder = self.beginning.builder
         delta = self.beginning.delta
-        identified = builder.context.identified.get(self._identifier or "")
+        identified = self.context.identified.get(self._identifier or "")
         if self._identifier is None or identified is None or delta is None or identified.extent:
             return None
         plant = identified.plant
-        t = builder.clock.points
+        scenario = self.beginning.scenario
+        t = self.context.clock.points
         try:
-            noise, _ = noise_of(
-                builder.scenario, self._identifier, identified.observer, len(plant.C)
-            )
+            noise, _ = noise_of(scenario, self._identifier, identified.observer, len(plant.C))
             alpha = identified.alpha(t)
         except UsageError:
             return None
@@ -572,9 +567,8 @@ class _Compensation(_Checked):
         x = simulate(plant.A, plant.Bd[:, :1], t, d, np.zeros(len(plant.A)), held)
         y = x @ plant.C.T + d @ plant.Dd[:, :1].T
         data = DataSet(t, y, np.zeros((len(t), plant.B.shape[1])), alpha)
-        families = identified.families
         offset = identified.offset
-        bound = accuracy_bound(plant, families, theta, data, noise=noise, offset=offset)
+        bound = accuracy_bound(plant, identified.families, theta, data, noise=noise, offset=offset)
         return bound.standard_error
 
     def _limits(self) -> Evidence:
@@ -582,30 +576,25 @@ class _Compensation(_Checked):
         upper = self._compensator.options.upper
         needed = self._needed_input()
         values: dict[str, Any] = {}
-        effort = ""
+        parts = []
         exceeds = False
         if needed is not None:
-            lowest = needed.min(axis=0)
-            highest = needed.max(axis=0)
-            exceeds = bool(((lowest < lower) | (highest > upper)).any())
-            values = {"needed": [lowest.tolist(), highest.tolist()]}
-            effort = (
-                f"rejecting the disturbance takes u from {_numbers(lowest)} to {_numbers(highest)}"
-            )
+            ends = [needed.min(axis=0), needed.max(axis=0)]
+            exceeds = bool(((ends[0] < lower) | (ends[1] > upper)).any())
+            values = {"needed": [end.tolist() for end in ends]}
+            parts = [f"rejecting the disturbance takes u {_range(*ends)}"]
         if not (np.isfinite(lower).any() or np.isfinite(upper).any()):
-            return "; ".join(filter(None, ("u has no limits", effort))), values
-        limits = f"limits from {_numbers(lower)} to {_numbers(upper)}"
+            return "; ".join(["u has no limits", *parts]), values
+        limits = f"limits {_range(lower, upper)}"
         if exceeds:
-            raise AssumptionError(
-                f"{effort}, but it has {limits}",
-                cure="widen the limits, or reduce the disturbance",
-            )
+            cure = "widen the limits, or reduce the disturbance"
+            raise AssumptionError(f"{parts[0]}, but it has {limits}", cure=cure)
         windup = "at a limit the internal model tracks u (back-calculation) and decays"
         if not self.kind.internal_model:
             windup = "there is no internal model to wind up"
         elif not self.kind.anti_windup:
             windup = "anti_windup = false: at a limit the internal model winds up"
-        return "; ".join(filter(None, (limits, effort, windup))), values
+        return "; ".join([limits, *parts, windup]), values
 
     def _needed_input(self) -> Matrix | None:
         """Return the course of u that rejects the disturbance; None: it is not known."""
@@ -613,18 +602,20 @@ class _Compensation(_Checked):
         delta = self.beginning.delta
         if theta is None or delta is None or not self.kind.internal_model:
             return None
-        context = self.context
-        families = self.kind.families(self.name, context)
+        families = self.kind.families(self.name, self.context)
         ends = np.cumsum([len(family.parameters) for family in families])
-        of_families = np.split(theta, ends[:-1])
-        known = KnownDisturbance(families, of_families, delta, context.h)
-        plant, _ = self.kind.state_feedback(self.name, context)
+        known = KnownDisturbance(families, np.split(theta, ends[:-1]), delta, self.context.h)
+        plant, _ = self.kind.state_feedback(self.name, self.context)
         return steady_input(plant, known)
 
 
 def _where(theta: Iterable[float]) -> str:
     values = np.array(list(theta))
     return f", at theta = {_numbers(values)}" if len(values) else ""
+
+
+def _range(lower: Vector, upper: Vector) -> str:
+    return f"from {_numbers(lower)} to {_numbers(upper)}"
 
 
 def _numbers(values: Vector) -> str:

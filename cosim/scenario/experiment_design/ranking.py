@@ -50,8 +50,15 @@ _UNDETERMINED: Final = "no estimate: the data do not determine theta"
 _MODEL_ERROR: Final = 1e-3  # of y, above which a model is not that of the plant
 
 
+class _DesignRow:
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        content: dict[str, Any] = plain(vars(self))
+        return content
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
-class RankedDesign:
+class RankedDesign(_DesignRow):
     """A choice, and the error of theta that is to be expected with it.
 
     Parameters
@@ -78,14 +85,9 @@ class RankedDesign:
     error: Vector
     ratio: float
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        content: dict[str, Any] = plain(vars(self))
-        return content
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class OmittedDesigns:
+class OmittedDesigns(_DesignRow):
     """Choices that have no error to be expected, all for one reason.
 
     Parameters
@@ -103,11 +105,6 @@ class OmittedDesigns:
     method: str
     settings: tuple[Mapping[str, Any], ...]
     reason: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        content: dict[str, Any] = plain(vars(self))
-        return content
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -150,11 +147,13 @@ class ExperimentDesign:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        content = {**vars(self), "designs": [], "omitted": []}
-        renamed = {"noise_source": "noise"}
-        values = {renamed.get(name, name): plain(value) for name, value in content.items()}
-        designs = [design.to_dict() for design in self.designs]
-        return {**values, "designs": designs, "omitted": [one.to_dict() for one in self.omitted]}
+        content: dict[str, Any] = {}
+        for name, value in vars(self).items():
+            if name in ("designs", "omitted"):
+                content[name] = [one.to_dict() for one in value]
+            else:
+                content["noise" if name == "noise_source" else name] = plain(value)
+        return content
 
 
 def design(
@@ -276,11 +275,10 @@ class _Ranking:
                 "input", {"input": f"{factor:g} u"}, trial.with_input(factor), trial.steps
             )
         self._designs.sort(key=_place)
-        omitted = []
-        for (choice, by, reason), settings_of in self._omissions.items():
-            omitted.append(
-                OmittedDesigns(choice=choice, method=by, settings=tuple(settings_of), reason=reason)
-            )
+        omitted = [
+            OmittedDesigns(choice=choice, method=by, settings=tuple(settings), reason=reason)
+            for (choice, by, reason), settings in self._omissions.items()
+        ]
         return ExperimentDesign(
             scenario=self._subject.scenario.name,
             identifier=self._subject.identifier,
@@ -305,11 +303,9 @@ class _Ranking:
             for filter_name in ("first-order", "consistent"):
                 variants.append({"filter": filter_name, "filter_rate": float(f"{rate:.3g}")})
             rate /= math.sqrt(10.0)
-        self._omit(
-            "filter",
-            {f"{name}.filter_rate": float(f"{rate:.3g}")},
-            f"not tried, nor slower ones: the run is shorter than {_SLOWEST:g} time constants",
-        )
+        slowest = {f"{name}.filter_rate": float(f"{rate:.3g}")}
+        reason = f"the run is shorter than {_SLOWEST:g} time constants"
+        self._omit("filter", slowest, f"not tried, nor slower ones: {reason}")
         for samples in _HALF_WIDTHS:
             width = round(samples * trial.step, 9)
             if samples * trial.step <= _WIDEST * trial.span:

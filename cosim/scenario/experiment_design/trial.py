@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from copy import deepcopy
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any, Final
@@ -168,13 +167,12 @@ def _theta(
     needed = sum(map(len, own))
     if len(values) != needed or not np.isfinite(values).all():
         raise UsageError(f"theta: expected {needed} finite numbers, got {values}")
-    changed = deepcopy(list(scenario.tree["components"][name]["terms"]))
     rest = iter(values)
     for place, replaced in zip(places, own, strict=True):
         part = [next(rest) for _ in replaced]
         if part:
-            changed[place]["theta"] = part[0] if len(part) == 1 else part
-    edits[f"components.{name}.terms"] = changed
+            key = f"components.{name}.terms[{place}].theta"
+            edits[key] = part[0] if len(part) == 1 else part
     return tuple(values)
 
 
@@ -283,12 +281,9 @@ def trial_of(
         builder.check()
         graph = builder.graph_of(subject.upstream)
         identified = _identified(builder, subject, graph)
+        outputs = len(identified.plant.C)
         covariance, source = noise_of(
-            subject.scenario,
-            subject.identifier,
-            observer,
-            len(identified.plant.C),
-            subject.noise,
+            subject.scenario, subject.identifier, observer, outputs, subject.noise
         )
         recording = Memory()
         run(graph, builder.clock, recording)

@@ -14,7 +14,6 @@ from cosim.core.connections import Connection
 from cosim.core.port import Port
 from cosim.core.signals import SAMPLE_TIMES, Interface, PortUnit
 from cosim.errors import AssumptionError, UsageError
-from cosim.instants import step_seconds
 from cosim.native.estimation.alphas import signals_among
 from cosim.scenario.document.schema import Number, TomlTable
 from cosim.scenario.kinds.base import BuildContext, Kind
@@ -85,8 +84,8 @@ class IdentifierSource:
 
     Attributes
     ----------
+    context : BuildContext
     identifier, regressor : str
-    kind : RegressorKind
     regression : RegressorDesign
     observer : ObserverSource or None
         None: what drives the regressor is no observer, or several.
@@ -107,10 +106,9 @@ class IdentifierSource:
             )
         self.identifier = identifier
         self.regressor = name
-        self.kind = kind
         self.regression = kind.design(name, context)
         self.observer: ObserverSource | None = None
-        self._context = context
+        self.context = context
         observer = context.driver(Port(name, "delta"))
         kind_of_observer = None if observer is None else context.spec(observer)
         if observer is not None and isinstance(kind_of_observer, UnknownInputObserverKind):
@@ -131,7 +129,7 @@ class IdentifierSource:
         AssumptionError
             If it is too long.
         """
-        clock = self._context.clock
+        clock = self.context.clock
         known = self.regression.known
         if known.names:
             check_step(known, known.names, start=clock.start_time, stop=clock.stop, h=clock.h)
@@ -167,12 +165,82 @@ class IdentifierSource:
             'disturbance and no constant input, or method = "least-squares"'
         )
 
+    # --- when it starts ---
+
+    def start_time(self, start: float | StartTable | None) -> float:
+        """Return the first communication point not before T_id, and record it.
+
+        A computed T_id (36)-(38) is counted from the start of the run.
+
+        Raises
+        ------
+        UsageError
+            If it is to be computed, and there is no observer to compute it from.
+        AssumptionError
+            If the regressor has no value there, or it is in no run.
+        """
+        clock = self.context.clock
+        if isinstance(start, float | int):
+            T_id = float(start)
+            elapsed_ns = T_id * 1e9 - clock.start_ns
+        else:
+            T_id = self._computed_start(start or DEFAULT_START)
+            elapsed_ns = T_id * 1e9
+        # Rounded to 1e-3 ns: a T_id on a communication point must not become the next point.
+        elapsed_ns = round(elapsed_ns, 3)
+        longest = max(self.regression.delays)
+        needed_ns = round((longest + self.window) * 1e9, 3)
+        needed = f"the longest delay, {longest} s"
+        if self.window:
+            needed += f" and the observer's window, {self.window} s"
+        of_alphas_ns = float(self.regression.constants.alphas.samples * clock.step_ns)
+        if of_alphas_ns > needed_ns:
+            needed_ns = of_alphas_ns
+            names = ", ".join(alpha.text for alpha in signals_among(self.regression.alphas))
+            needed = f"{needed_ns / 1e9:g} s, the longest delay and the lag of delta, for {names!r}"
+        if elapsed_ns < needed_ns:
+            raise AssumptionError(
+                f"start: expected at least {needed}, got {T_id} s; the regressor has no value so "
+                f"soon after the start of the run, {clock.start_time} s"
+            )
+        if not T_id <= LARGEST_NS / 1e9:
+            raise AssumptionError(
+                f"start: expected T_id within a run, got {T_id:g} s; if it is computed: increase "
+                "filter_rate, move the eigenvalues of the observer to the left, or increase the "
+                "fractions"
+            )
+        time = clock.grid.instant(math.ceil(elapsed_ns / clock.step_ns))
+        self.context.add_metadata(self.identifier, {"start_time": time})
+        return time
+
+    def _computed_start(self, start: StartTable) -> float:
+        """Compute T_id from the observer that drives the regressor [s], and record its parts."""
+        if self.observer is None:
+            raise UsageError(
+                "start: to compute T_id, exactly one observer must drive the regressor; "
+                "otherwise give start as a time [s]"
+            )
+        reconstruction = self.observer.reconstruction
+        filter_rate = None
+        if isinstance(reconstruction, FirstOrderFilter | ConsistentFilter):
+            filter_rate = reconstruction.rate
+        times = identification_start_time(
+            lambda_obs=self.observer.design.design.lambda_obs,
+            filter_rate=filter_rate,
+            window=reconstruction.window or None,
+            delays=self.regression.delays,
+            epsilon_observer=start.epsilon_observer,
+            epsilon_filter=start.epsilon_filter,
+        )
+        self.context.add_metadata(self.identifier, asdict(times))
+        return times.T_id
+
     # --- samples of y ---
 
     @property
     def samplers(self) -> dict[str, HasSamples]:
         """What drives the input with the samples of y."""
-        drivers = self._context.drivers(Port(self.identifier, "samples"))
+        drivers = self.context.drivers(Port(self.identifier, "samples"))
         return {name: kind for name, kind in drivers.items() if isinstance(kind, HasSamples)}
 
     def most_samples(self) -> int:
@@ -184,10 +252,10 @@ class IdentifierSource:
             If y has values between samples, and these do not reach the identifier.
         """
         samplers = self.samplers.items()
-        most = [kind.most_in_a_step(name, self._context) for name, kind in samplers]
+        most = [kind.most_in_a_step(name, self.context) for name, kind in samplers]
         if any(most):
             return max(most)
-        sampled = sampled_behind(Port(self.identifier, "y"), self._context)
+        sampled = sampled_behind(Port(self.identifier, "y"), self.context)
         if sampled is not None:
             raise UsageError(
                 f"y is interpolated between the samples of {sampled!r}; expected y directly from "
@@ -252,79 +320,3 @@ def sampled_behind(to: Port, context: BuildContext) -> str | None:
         if isinstance(kind, HasSamples) and kind.most_in_a_step(name, context):
             return name
     return None
-
-
-# --- when it starts ---
-
-
-def start_time(
-    start: Number | StartTable | None, source: IdentifierSource, context: BuildContext
-) -> float:
-    """Return the first communication point not before T_id, and record it.
-
-    A computed T_id (36)-(38) is counted from the start of the run.
-
-    Raises
-    ------
-    UsageError
-        If it is to be computed, and there is no observer to compute it from.
-    AssumptionError
-        If the regressor has no value there, or it is in no run.
-    """
-    clock = context.clock
-    if isinstance(start, float | int):
-        T_id = float(start)
-        elapsed_ns = T_id * 1e9 - clock.start_ns
-    else:
-        T_id = _computed(start or DEFAULT_START, source, context)
-        elapsed_ns = T_id * 1e9
-    # Rounded to 1e-3 ns: a T_id on a communication point must not become the next point.
-    elapsed_ns = round(elapsed_ns, 3)
-    needed_ns = source.regression.constants.alphas.samples * clock.step_ns
-    if needed_ns and elapsed_ns < needed_ns:
-        signals = signals_among(source.regression.alphas)
-        names = ", ".join(repr(alpha.text) for alpha in signals)
-        raise AssumptionError(
-            f"start: expected at least {step_seconds(needed_ns):g} s after the start of the run "
-            f"(longest delay plus lag of delta), got {T_id} s; alpha {names} has no earlier value"
-        )
-    longest = max(source.regression.delays)
-    if elapsed_ns < round((longest + source.window) * 1e9, 3):
-        since = f" after start_time, {clock.start_time} s" if clock.start_ns else ""
-        plus = f" and the observer's window, {source.window} s," if source.window else ""
-        raise AssumptionError(
-            f"start: expected at least the longest delay, {longest} s{plus}{since}, got {T_id} s; "
-            "the regressor has no earlier value"
-        )
-    if not T_id <= LARGEST_NS / 1e9:
-        raise AssumptionError(
-            f"start: expected T_id within a run, got {T_id:g} s; if it is computed: increase "
-            "filter_rate, move the eigenvalues of the observer to the left, or increase the "
-            "fractions"
-        )
-    time = clock.grid.instant(math.ceil(elapsed_ns / clock.step_ns))
-    context.add_metadata(source.identifier, {"start_time": time})
-    return time
-
-
-def _computed(start: StartTable, source: IdentifierSource, context: BuildContext) -> float:
-    """Compute T_id from the observer that drives the regressor [s], and record its parts."""
-    if source.observer is None:
-        raise UsageError(
-            "start: to compute T_id, exactly one observer must drive the regressor; "
-            "otherwise give start as a time [s]"
-        )
-    reconstruction = source.observer.reconstruction
-    filter_rate = None
-    if isinstance(reconstruction, FirstOrderFilter | ConsistentFilter):
-        filter_rate = reconstruction.rate
-    times = identification_start_time(
-        lambda_obs=source.observer.design.design.lambda_obs,
-        filter_rate=filter_rate,
-        window=reconstruction.window or None,
-        delays=source.regression.delays,
-        epsilon_observer=start.epsilon_observer,
-        epsilon_filter=start.epsilon_filter,
-    )
-    context.add_metadata(source.identifier, asdict(times))
-    return times.T_id

@@ -39,7 +39,7 @@ from cosim.theory.assessment.undetected import undetected_errors
 from cosim.theory.assessment.verdicts import Assessment, judge
 from cosim.theory.covariance import is_covariance
 from cosim.theory.disturbances.families import Family, Polynomial
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import OutputErrorProblem
 
 if TYPE_CHECKING:
@@ -507,18 +507,16 @@ def interval_of(
     from cosim.theory.bounded.irregular_part import guaranteed_interval  # rarely needed
 
     problem = assessment.problem
-    estimated = assessment.fit.estimated
-    if not estimated.all():
-        missing = ", ".join(f"theta[{j}]" for j in np.flatnonzero(~estimated))
+    missing = np.flatnonzero(~assessment.fit.estimated)
+    if len(missing):
         raise AssumptionError(
-            f"{missing} was not estimated; bounding theta for an irregular part of the "
-            "disturbance takes an estimate of every theta"
+            f"{', '.join(f'theta[{j}]' for j in missing)} was not estimated; bounding theta for an "
+            "irregular part of the disturbance takes an estimate of every theta"
         )
     accuracy = assessment.consistency.accuracy[0]
-    sampling_error = float(np.abs(accuracy.step).max()) + 0.5 * float(accuracy.spacing.max())
-    outputs = accuracy.step.shape[1]
-    sigma = _largest_deviations(assessment)
-    if problem.stated is not None:
+    if problem.stated is None:
+        sigma = _largest_deviations(assessment)
+    else:
         sigma = np.sqrt(np.diag(problem.stated))
     return guaranteed_interval(
         problem.data[0],
@@ -527,8 +525,8 @@ def interval_of(
         assessment.fit,
         bound=bound,
         sigma=sigma,
-        sampling_error=sampling_error,
-        noise=NoiseModel(covariance=assessment.noise.covariance, a=np.zeros((outputs, 0))),
+        sampling_error=float(np.abs(accuracy.step).max()) + 0.5 * float(accuracy.spacing.max()),
+        noise=assessment.noise.without_color(),
         programs=programs,
         watch=watch,
     )
@@ -570,15 +568,9 @@ def residual_noise(t: Vector, residual: Vector) -> tuple[str, float, float]:
     from cosim.theory.assessment.noise_color import largest_power  # rarely needed
 
     data = DataSet(t, residual[:, np.newaxis], np.zeros((samples, 0)), np.zeros((samples, 1)))
-    nothing = np.zeros((0, 0))
-    plant = DisturbedPlant(
-        A=nothing,
-        B=nothing,
-        Bd=np.zeros((0, 1)),
-        C=np.zeros((1, 0)),
-        D=np.zeros((1, 0)),
-        Dd=np.ones((1, 1)),
-    )
+    A = np.zeros((0, 0))
+    C = np.zeros((1, 0))
+    plant = DisturbedPlant(A=A, B=A, Bd=C.T, C=C, D=C, Dd=np.ones((1, 1)))
     found = assess(OutputErrorProblem([data], plant, [Polynomial(0)]), None)
     problem = "" if found.consistency.passed else found.consistency.contradiction
     power = largest_power(found.noise.a[0])

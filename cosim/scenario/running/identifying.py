@@ -167,23 +167,28 @@ class LogIdentification:
         return interval_of(self.assessment, bound, Programs.ALWAYS, watch)
 
 
-def identifier_record(log: CompleteRecording, identifier: str | None = None) -> IdentifierRecord:
+def identifier_record(
+    source: str | Path | CompleteRecording, identifier: str | None = None
+) -> IdentifierRecord:
     """Return the data and the model of an identifier, from the log of its run.
 
     Parameters
     ----------
-    log : CompleteRecording
-        A log, or a run in memory.
+    source : path, log, or run in memory
     identifier : str, optional
         Its name, where there are several.
 
     Raises
     ------
     LogError
-        If the log has no scenario, or does not fit it.
+        If the log cannot be read, has no scenario, or does not fit it.
     UsageError
-        If it has no identifier of that name whose model output error can fit, or several.
+        If it is no log, or has no identifier of that name whose model output error can fit, or
+        several.
     """
+    log = open_log(source) if isinstance(source, str | Path) else source
+    if not isinstance(log, RecordedSignals):
+        raise UsageError(f"logs: expected a path, or what a run returned, got {quoted(source)}")
     with ExitStack() as resources:
         experiment = rebuilt(log, resources)
         name = _chosen(log, experiment.identified, identifier)
@@ -241,41 +246,6 @@ def identify(
         Of one plant under one theta; each has its own amplitudes, phases and x(0).
     identifier : str, optional
         The identifier to take the model from, if a log has several.
-    offset, bounds
-        As for :func:`identify_records`.
-
-    Raises
-    ------
-    LogError
-        If a log is damaged, or has no scenario.
-    UsageError
-        If one is neither a path nor a run, a log has no such identifier, the models of the logs
-        differ, two logs have the same rows, or the bounds are invalid.
-    AssumptionError
-        If there are fewer samples than unknowns.
-    """
-    listed = list(logs) if isinstance(logs, Sequence) and not isinstance(logs, str) else [logs]
-    records = []
-    for log in listed:
-        opened = open_log(log) if isinstance(log, str | Path) else log
-        if not isinstance(opened, RecordedSignals):
-            raise UsageError(f"logs: expected a path, or what a run returned, got {quoted(log)}")
-        records.append(identifier_record(opened, identifier))
-    return identify_records(records, offset=offset, bounds=bounds)
-
-
-def identify_records(
-    records: Sequence[IdentifierRecord],
-    *,
-    offset: bool = False,
-    bounds: ThetaBounds | None = None,
-) -> LogIdentification:
-    """Estimate theta from records of logs by output error, with a verdict on every parameter.
-
-    Parameters
-    ----------
-    records : sequence of IdentifierRecord
-        Of one plant under one theta; each has its own amplitudes, phases and x(0).
     offset : bool
         An unknown constant is on every output, also where the scenario does not say so.
     bounds : sequence of (lower, upper), or mapping of index to (lower, upper), optional
@@ -283,14 +253,18 @@ def identify_records(
 
     Raises
     ------
+    LogError
+        If a log is damaged, or has no scenario.
     UsageError
-        If there are none, they are of different models, two have the same rows, or the bounds are
-        none.
+        If there are none, one is neither a path nor a run, a log has no such identifier, the models
+        of the logs differ, two logs have the same rows, or the bounds are invalid.
     AssumptionError
         If there are fewer samples than unknowns.
     """
-    if not records:
+    listed = list(logs) if isinstance(logs, Sequence) and not isinstance(logs, str) else [logs]
+    if not listed:
         raise UsageError("logs: expected at least one, got none")
+    records = [identifier_record(log, identifier) for log in listed]
     for number, record in enumerate(records):
         _check_beside(record, records[:number])
     identified = records[0].identified
@@ -301,10 +275,11 @@ def identify_records(
         bounds=identified.bounds if bounds is None else bounds_of(bounds, identified.parameters),
     )
     assessment = assess(problem, records[0].estimate)
+    assessment = advised(assessment, [record.identified.alpha for record in records])
     names = [record.log.label for record in records]
     return LogIdentification(
         records=tuple(records),
-        assessment=advised(assessment, [record.identified.alpha for record in records]),
+        assessment=assessment,
         contradictions=tuple(contradictions(each_alone(assessment), names)),
     )
 

@@ -190,7 +190,7 @@ def test_an_alpha_that_lags_is_for_least_squares_alone(tmp_path):
 def test_an_identifier_starts_where_its_signals_have_values(tmp_path):
     """They are read as late as the longest delay, and the lag of delta, before."""
     changes = {**RUN, "observer.filter": "consistent", "identifier.start": 1.5}
-    with pytest.raises(ScenarioError, match=r"start: .*at least 1\.5\d+ s after.*'schedule\.y\[0"):
+    with pytest.raises(ScenarioError, match=r"start: .*at least 1\.5\d+ s, .*'schedule\.y\[0"):
         cosim.run(scenario(tmp_path), set=changes)
 
 

@@ -14,7 +14,7 @@ import cosim
 from cosim.errors import ScenarioError
 from cosim.log import open_log
 from cosim.scenario.record import IDENTIFICATION, recorded_identification, recorded_warnings
-from cosim.scenario.running.identifying import identifier_record, identify_records
+from cosim.scenario.running.identifying import identifier_record
 from cosim.theory.plants.descriptor import reduce
 from tests.scenario.refusals import check_refused
 from tests.theory.academic import THETA, academic, alpha
@@ -304,7 +304,7 @@ def test_the_verdict_and_the_log_rest_on_the_samples(experiment, tmp_path):
     recorded = dict(log.results[IDENTIFICATION]["identifier"])
     assert [one["verdict"] for one in recorded["parameters"]] == 2 * ["IDENTIFIABLE"]
     record = identifier_record(log)
-    of_the_log = identify_records([record]).assessment.to_dict()
+    of_the_log = cosim.identify(log).assessment.to_dict()
     assert of_the_log == {key: recorded[key] for key in of_the_log}
     np.testing.assert_array_equal(record.data.t[record.data.measured[:, 0]], experiment.t)
 

@@ -7,7 +7,7 @@ import cosim
 from cosim.errors import CosimError
 from cosim.scenario.exporting import export_component
 from cosim.scenario.record import recorded_identification
-from cosim.scenario.running.identifying import identifier_record, identify_records
+from cosim.scenario.running.identifying import identifier_record
 from tests.scenario.online import TWO_OUTPUTS
 
 H = 1e-2  # s
@@ -126,7 +126,7 @@ def test_a_log_of_time_stamps_is_fitted_as_its_run(tmp_path):
     record = identifier_record(log)
     assert int(record.data.measured.sum()) == 400  # that of t = 0 is of before the start
     assert len(record.data.t) == 4001
-    found = identify_records([record]).assessment.parameters
+    found = cosim.identify(log).assessment.parameters
     assert [one.value for one in found] == [one.value for one in verdicts(log).parameters]
     assert cosim.diff(log, cosim.replay(log.path)).equal
 
@@ -189,7 +189,7 @@ def test_each_sensor_counts_at_its_own_times(tmp_path, second, samples):
     check_online(log, 0.2)
     record = identifier_record(log)
     np.testing.assert_array_equal(record.data.measured.sum(axis=0), [201, samples])
-    later = identify_records([record]).assessment
+    later = cosim.identify(log).assessment
     offline = [one.value for one in verdicts(log).parameters]
     np.testing.assert_array_equal(later.fit.theta, offline)
 
