@@ -19,8 +19,8 @@ from cosim.report.estimators import (
     verdict_lines,
 )
 from cosim.report.tables.console import Shown, new_table
-from cosim.scenario.kinds.identified_plant import irregular_part, verdicts_of
 from cosim.scenario.record import IrregularPart
+from cosim.scenario.recordings.verdicts import irregular_part, verdicts_of
 from cosim.scenario.running.identifying import IdentifierRecord, LogIdentification
 from cosim.theory.assessment.consistency import NOTHING_ELSE, ResidualTest
 from cosim.theory.assessment.validation import Validation, ValidationVerdict

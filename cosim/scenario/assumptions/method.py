@@ -23,7 +23,7 @@ from cosim.scenario.kinds.base import BuildContext
 from cosim.scenario.kinds.build_record import DependsOnInvalid
 from cosim.scenario.kinds.compensators import CompensatorKind, observer_in_loop
 from cosim.scenario.kinds.identification import IdentifierKind
-from cosim.scenario.kinds.identification_source import IdentifierSource
+from cosim.scenario.kinds.identified_plant import IdentifiedPlant, IdentifierSource
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
 from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
 from cosim.scenario.kinds.variants import LINEAR_METHODS
@@ -551,7 +551,7 @@ class _Compensation(_Checked):
         What u does to y is known, so that the bound is that without u, also in this loop.
         """
         delta = self.beginning.delta
-        identified = self.context.identified.get(self._identifier or "")
+        identified: IdentifiedPlant | None = self.context.identified.get(self._identifier or "")
         if self._identifier is None or identified is None or delta is None or identified.extent:
             return None
         plant = identified.plant

@@ -17,7 +17,7 @@ from cosim.arrays import Vector
 from cosim.errors import AssumptionError, CosimError, UsageError
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.document import plain, short
-from cosim.scenario.experiment_design.trial import DesignSubject, Trial, subject_of, trial_of
+from cosim.scenario.experiment_design.trial import DesignSubject, Trial
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.identified_plant import OUTPUT_ERROR
 from cosim.scenario.kinds.reconstruction import DEFAULT_ORDER, FILTERS
@@ -194,8 +194,8 @@ def design(
     input = truth_argument("input", input)
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
     edited = loaded.edit(set=mapping_argument("set", set))
-    subject = subject_of(edited, noise=noise, theta=theta)
-    trial = trial_of(subject, {})
+    subject = DesignSubject(edited, noise=noise, theta=theta)
+    trial = subject.trial()
     if longest is None:
         longest = max(_LONGEST * trial.span, *trial.delays)
     if not trial.step <= longest < math.inf:
@@ -334,7 +334,7 @@ class _Ranking:
     def _tried(self, choice: str, settings: _Settings, edits: _Settings) -> Iterator[Trial]:
         """Yield a variant; none where the scenario refuses it."""
         try:
-            yield trial_of(self._subject, settings, edits)
+            yield self._subject.trial(settings, edits)
         except CosimError as error:
             reason = "; ".join(line.strip() for line in str(error).splitlines())
             self._omit(choice, settings, reason)

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from cosim.fmi.component import Fmu
     from cosim.fmi.driving.model_exchange import ModelExchange
     from cosim.fmi.unpacked import UnpackedFmus
-    from cosim.scenario.kinds.identified_plant import IdentifiedPlant
 
 T = TypeVar("T")
 
@@ -136,7 +135,7 @@ class BuildRecord:
         self.fmus: dict[str, Fmu] = {}
         self.fmu_files: dict[str, Path] = {}
         self.model_exchange: dict[str, ModelExchange] = {}
-        self.identified: dict[str, IdentifiedPlant] = {}
+        self.identified: dict[str, Any] = {}  # IdentifiedPlant stands above this file
         self._kept: dict[tuple[str, str], tuple[Any, frozenset[str]]] = {}
 
     def begin(self, name: str) -> None:

@@ -33,7 +33,7 @@ from cosim.scenario.kinds.alphas import unchecked
 from cosim.scenario.kinds.base import BuildContext, Kind, PortUnits, unit_of
 from cosim.scenario.kinds.control import SensorKind
 from cosim.scenario.kinds.identification import IdentifierKind
-from cosim.scenario.kinds.identification_source import IdentifierSource
+from cosim.scenario.kinds.identified_plant import IdentifierSource
 from cosim.scenario.kinds.observers import DesignedObserver, UnknownInputObserverKind
 from cosim.scenario.kinds.plants import PlantKind
 from cosim.scenario.kinds.terms import FamilyTerm

@@ -32,14 +32,16 @@ from cosim.scenario.document.schema import Flag, Limit, Number, NumberRow, Numbe
 from cosim.scenario.kinds.alphas import alpha_connections
 from cosim.scenario.kinds.base import BuildContext, ExportableKind, Kind, PeriodicKind, Wiring
 from cosim.scenario.kinds.capabilities import DecidedByStep
-from cosim.scenario.kinds.identification_source import (
+from cosim.scenario.kinds.identified_plant import (
+    IdentifiedPlant,
     IdentifierSource,
     ObserverSource,
     StartTable,
+    bounds_of,
     sample_connections,
     sampled_behind,
+    stated_covariance,
 )
-from cosim.scenario.kinds.identified_plant import IdentifiedPlant, bounds_of, stated_covariance
 from cosim.scenario.kinds.reconstruction import delta_transient
 from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
 from cosim.scenario.kinds.values import ImpliedConnection, shared_connections
@@ -295,7 +297,7 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
         self, source: IdentifierSource, observer: ObserverSource, begin: float
     ) -> Component:
         design = source.regression
-        identified = source.context.identified[source.identifier]
+        identified: IdentifiedPlant = source.context.identified[source.identifier]
         model, designed = observer.design
         modes, row = delta_transient(model.reduced, designed, observer.reconstruction)
         problem = IdentificationProblem(

@@ -27,16 +27,15 @@ from cosim.errors import UsageError, nearest, quoted
 from cosim.log import open_log
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.kinds.identified_plant import (
-    IDENTIFY_WITH_OFFSET,
     OUTPUT_ERROR,
     IdentifiedPlant,
     SampleRows,
     ThetaBounds,
     bounds_of,
-    interval_of,
 )
 from cosim.scenario.record import component_record
 from cosim.scenario.recordings.replaying import rebuilt
+from cosim.scenario.recordings.verdicts import IDENTIFY_WITH_OFFSET, interval_of
 from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.agreement import contradictions, each_alone
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts

@@ -7,7 +7,7 @@ import pytest
 
 import cosim
 from cosim.errors import UsageError
-from cosim.scenario.experiment_design.trial import subject_of, trial_of
+from cosim.scenario.experiment_design.trial import DesignSubject
 
 FAST = {"scenario.step": 0.05, "scenario.stop": 20.0, "observer.filter_rate": 20.0}
 TINY = {
@@ -34,14 +34,14 @@ def first(design, choice, method):
 
 def test_the_bound_is_that_of_the_academic_example():
     """(7.09e-6, 6.22e-5) at 1e-3, found independently: prototypes of the method on y."""
-    trial = trial_of(subject_of(cosim.load("academic-noisy")), {})
+    trial = DesignSubject(cosim.load("academic-noisy")).trial()
     np.testing.assert_allclose(trial.bound().standard_error, [7.09e-6, 6.22e-5], rtol=2e-3)
     assert trial.bound().residual < 1e-12
 
 
 def test_predictions_are_what_runs_find():
     """Least squares at two seeds: its bias is 40 times its scatter, so that two runs show it."""
-    trial = trial_of(subject_of(cosim.load("academic-noisy").set(FAST)), {})
+    trial = DesignSubject(cosim.load("academic-noisy").set(FAST)).trial()
     predicted = trial.regression.least_squares(trial.steps)
     settings = {**FAST, "identifier.method": "least-squares", "identifier.period": 20.0}
     found = []
@@ -72,7 +72,7 @@ def test_the_best_design_can_be_set_and_is_predicted_the_same(designed):
     """The settings of a design, given to the scenario, make it the scenario as it is."""
     best = first(designed, "together", "rayleigh")
     scenario = cosim.load("academic-noisy").set({**FAST, **best.settings})
-    trial = trial_of(subject_of(scenario), {})
+    trial = DesignSubject(scenario).trial()
     again = trial.regression.rayleigh(trial.steps)
     np.testing.assert_allclose(again.error, best.error, rtol=1e-9)
 
@@ -95,7 +95,7 @@ def test_designs_of_a_choice_are_ranked(designed):
 def test_the_input_does_not_change_the_bound_but_leaks_through_the_filter(designed):
     """Tenfold u: the same bound, and ten times the part of delta that is an error."""
     scenario = cosim.load("academic-noisy").set(FAST)
-    trials = [trial_of(subject_of(scenario.set({"u.amplitude": a})), {}) for a in (1.0, 10.0)]
+    trials = [DesignSubject(scenario.set({"u.amplitude": a})).trial() for a in (1.0, 10.0)]
     bounds = [trial.bound().standard_error for trial in trials]
     np.testing.assert_allclose(*bounds, rtol=1e-9)
     for factor, trial in zip((1.0, 10.0), trials, strict=True):
@@ -112,8 +112,8 @@ def test_the_input_does_not_change_the_bound_but_leaks_through_the_filter(design
 
 def test_theta_given_replaces_that_of_the_disturbance():
     """Also in the signals: the model still leaves nothing of y without noise."""
-    subject = subject_of(cosim.load("academic-noisy").set(FAST), theta=[-0.2, -0.05])
-    trial = trial_of(subject, {})
+    subject = DesignSubject(cosim.load("academic-noisy").set(FAST), theta=[-0.2, -0.05])
+    trial = subject.trial()
     assert trial.regression.theta.tolist() == [-0.2, -0.05]
     assert trial.bound().residual < 1e-10
 
@@ -205,7 +205,7 @@ def test_alphas_that_are_signals_are_those_of_the_run():
     }
     errors = []
     for one in (scenario.set(by_signal), scenario):
-        trial = trial_of(subject_of(one), {})
+        trial = DesignSubject(one).trial()
         errors.append([trial.regression.rayleigh(trial.steps).error, trial.bound().standard_error])
     np.testing.assert_allclose(errors[0], errors[1], rtol=1e-3)
 
@@ -218,9 +218,9 @@ def test_any_family_and_a_shared_alpha_can_be_designed_for():
     scenario = cosim.load("academic-noisy").set(
         {**FAST, **settings, "regressor.delays": [0.0, 0.5, 1.0, 1.5]}
     )
-    subject = subject_of(scenario)
+    subject = DesignSubject(scenario)
     assert subject.theta == (0.05, 1.3)
-    trial = trial_of(subject, {})
+    trial = subject.trial()
     assert trial.bound().residual < 1e-10
     predicted = trial.regression.rayleigh(trial.steps)
     assert (predicted.error > trial.bound().standard_error).all()
@@ -233,6 +233,6 @@ def test_a_disturbance_that_is_absent_determines_no_theta():
     with pytest.raises(UsageError, match="no choice makes theta identifiable from y"):
         cosim.design("academic-noisy", set={**FAST, "delta.terms": absent})
     one = cosim.load("academic-noisy").set({**FAST, "delta.terms": [absent[0], TERMS[1]]})
-    errors = trial_of(subject_of(one), {}).bound().standard_error
+    errors = DesignSubject(one).trial().bound().standard_error
     assert np.isinf(errors[0])
     assert errors[1] < 1e-2

@@ -106,25 +106,22 @@ def test_the_first_estimate_comes_before_mu_counts_and_every_one_keeps_its_error
     assert errors.max() < 5.0
 
 
-@pytest.mark.parametrize("options", [{}, {"offset": True}, {"window": 8.0}, {"forgetting": 5.0}])
 @pytest.mark.usefixtures("without_verdicts")
-def test_noise_leaves_an_error_of_the_standard_errors_size(options):
-    """Whichever samples count, and with an offset among the unknowns or without."""
-    log = run("academic-noisy", **options)
-    errors = (theta(log)[-1] - THETA) / standard_error(log)[-1]
-    assert (np.abs(errors) < 4.0).all()
-    # 800 samples of the shortest window: the deviation is known to 2.5 %
-    assert log["identifier.deviation"][-1] == pytest.approx(1e-3, rel=0.1)
-    np.testing.assert_allclose(log["identifier.amplitude"][-1] > 0.0, True)
+def test_noise_leaves_an_error_of_the_standard_errors_size():
+    """Whichever samples count, and with an offset among the unknowns or without.
 
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("without_verdicts")
-def test_fewer_samples_mean_larger_standard_errors():
-    """All of them tell more than those of 5 s forgetting, and these more than a constant lets."""
-    plain = standard_error(run("academic-noisy"))[-1]
-    for options in ({"window": 8.0}, {"forgetting": 5.0}, {"offset": True}):
-        assert (standard_error(run("academic-noisy", **options))[-1] > plain).all()
+    All samples tell more than those of a window, or of 5 s forgetting, or than a constant lets.
+    """
+    found = []
+    for options in ({}, {"offset": True}, {"window": 8.0}, {"forgetting": 5.0}):
+        log = run("academic-noisy", **options)
+        errors = standard_error(log)[-1]
+        found.append(errors)
+        assert (np.abs(theta(log)[-1] - THETA) < 4.0 * errors).all()
+        # 800 samples of the shortest window: the deviation is known to 2.5 %
+        assert log["identifier.deviation"][-1] == pytest.approx(1e-3, rel=0.1)
+        assert (log["identifier.amplitude"][-1] > 0.0).all()
+    assert (np.array(found[1:]) > found[0]).all()
 
 
 @pytest.mark.usefixtures("without_verdicts")
@@ -182,6 +179,7 @@ def test_a_zero_order_hold_costs_the_square_of_the_step_or_the_step():
 
 NO_SENSE = [
     ({"window": 0.0}, r"identifier.window'\]: expected a number > 0, got 0.0"),
+    ({"irregular": -0.01}, r"identifier.irregular'\]: expected a number > 0, got -0.01"),
     ({"window": 8.0, "forgetting": 3.0}, "window and forgetting, got both"),
     ({"window": 0.0151}, "window of 'identifier'"),
     ({"bounds": [[np.nan, np.inf], [-np.inf, np.inf]]}, r"\[nan, inf\]"),
