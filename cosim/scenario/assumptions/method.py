@@ -17,8 +17,13 @@ from cosim.blocks.compensator import Compensator
 from cosim.core.port import Port
 from cosim.errors import AssumptionError, UsageError
 from cosim.native.numerics.householder import triangle
-from cosim.scenario.assumptions.beginning import RESTS_ON_INVALID, Beginning, Evidence, attempted
-from cosim.scenario.building.known_truth import noise_of
+from cosim.scenario.assumptions.beginning import (
+    RESTS_ON_INVALID,
+    Beginning,
+    Evidence,
+    attempted,
+    noise_of,
+)
 from cosim.scenario.kinds.base import BuildContext
 from cosim.scenario.kinds.build_record import DependsOnInvalid
 from cosim.scenario.kinds.compensators import CompensatorKind, observer_in_loop

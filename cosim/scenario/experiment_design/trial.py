@@ -22,8 +22,8 @@ from cosim.core.master import run
 from cosim.core.port import Port
 from cosim.core.recorders import Memory
 from cosim.errors import UsageError, option
+from cosim.scenario.assumptions.beginning import disturbance_among, noise_of, parameters_by_term
 from cosim.scenario.building.build import Builder
-from cosim.scenario.building.known_truth import disturbance_among, noise_of, parameters_by_term
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.kinds.control import SensorKind
 from cosim.scenario.kinds.field_data import FieldDataKind

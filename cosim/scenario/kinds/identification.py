@@ -54,6 +54,7 @@ from cosim.scenario.kinds.variants import (
 from cosim.theory.disturbances import regression
 from cosim.theory.disturbed_plant import disturbed_plant
 from cosim.theory.estimators import defaults
+from cosim.theory.estimators.output_error import limits_of
 from cosim.theory.estimators.rayleigh import rayleigh_constants
 
 if TYPE_CHECKING:
@@ -314,7 +315,7 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
             disturbances=len(design.members),
         )
         schedule = self._schedule(source, begin)
-        limits = identified.limits
+        limits = limits_of(identified.bounds, identified.parameters)
         match self.method:
             case "output-error":
                 return self._by_output_error(source, problem.within(*limits), schedule, limits)
@@ -427,8 +428,8 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
                 'their amplitudes use method = "output-error" or "projection"'
             )
         problem = ""
-        if design.each and self.method != "output-error":
-            problem = f"expected terms of one element of delta, got {len(design.each)}"
+        if design.has_several and self.method != "output-error":
+            problem = f"expected terms of one element of delta, got {len(design.members)}"
         elif self.method in LINEAR_METHODS:
             problem = regression.linear_route_problem(design.sizes)
         elif self.method in ("rayleigh", "projection") and not design.is_expanded:

@@ -414,16 +414,6 @@ class IdentifiedPlant:
         """The number of theta."""
         return sum(len(family.parameters) for family in self.families)
 
-    @property
-    def limits(self) -> tuple[Vector, Vector]:
-        """The bounds of theta as vectors, infinite where there is none, shape (P,)."""
-        lower = np.full(self.parameters, -np.inf)
-        upper = np.full(self.parameters, np.inf)
-        for j, (low, high) in self.bounds.items():
-            lower[j] = low
-            upper[j] = high
-        return lower, upper
-
     def alpha(self, t: Vector) -> Matrix:
         """Return the known factors at any instants ``(N,)`` [s], shape ``(N, components)``.
 

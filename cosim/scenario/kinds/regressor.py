@@ -89,11 +89,16 @@ class RegressorDesign:
             members[element].append(component)
         return members
 
+    @property
+    def has_several(self) -> bool:
+        """Whether delta has several elements."""
+        return len(self.members) > 1
+
     @cached_property
-    def each(self) -> list[RegressorDesign]:
-        """The regressions of the elements of delta, of the first delays; none of one alone."""
-        if len(self.members) == 1:
-            return []
+    def by_element(self) -> Sequence[RegressorDesign]:
+        """The regression of each element of delta, of the first delays."""
+        if not self.has_several:
+            return [self]
         designs = []
         for own in self.members:
             families = [self.families[i] for i in own]
@@ -108,11 +113,6 @@ class RegressorDesign:
             )
             designs.append(design)
         return designs
-
-    @property
-    def by_element(self) -> Sequence[RegressorDesign]:
-        """The regression of each element of delta."""
-        return self.each or [self]
 
     @cached_property
     def groups(self) -> list[AlphaGroup]:
@@ -138,14 +138,16 @@ class RegressorDesign:
     @cached_property
     def is_expanded(self) -> bool:
         """Whether mu is that of (25); else it is delta at its delays."""
-        return not self.each and regression.count_terms(self.sizes) <= MOST_TERMS
+        return not self.has_several and regression.count_terms(self.sizes) <= MOST_TERMS
 
     @cached_property
     def terms(self) -> Sequence[regression.Term]:
         """The expansion of the determinant."""
         if self.is_expanded:
             return regression.expand(self.sizes)
-        count = sum(len(part.terms) for part in self.each) or len(self.delays)
+        count = len(self.delays)
+        if self.has_several:
+            count = sum(len(part.terms) for part in self.by_element)
         return regression.delayed(count)
 
     @property
@@ -156,10 +158,10 @@ class RegressorDesign:
     @cached_property
     def constants(self) -> RegressorConstants:
         """The numbers of what makes mu; of several elements their alphas, and how many mu has."""
-        if not self.each:
+        if not self.has_several:
             return self._of_one().constants
         count = len(self.terms)
-        first = self.each[0].constants
+        first = self.by_element[0].constants
         ages = [self.lag + delay for delay in self.delays]
         return replace(
             first,
@@ -266,10 +268,10 @@ class RegressorDesign:
 
     def component(self) -> Regressor | ElementRegressors:
         """Return a component that makes the signals of the regression."""
-        if not self.each:
+        if not self.has_several:
             return self._of_one()
-        signals = [signals_among(part.alphas) for part in self.each]
-        return ElementRegressors([part._of_one() for part in self.each], signals)
+        signals = [signals_among(part.alphas) for part in self.by_element]
+        return ElementRegressors([part._of_one() for part in self.by_element], signals)
 
     def _of_one(self) -> Regressor:
         """Return the regressor of one element of delta: its input alpha has its own signals."""
@@ -328,9 +330,9 @@ class RegressorKind(ExportableKind):
 
         component = self.build(name, context)
         design = self.design(name, context)
-        if design.each:
+        if design.has_several:
             raise UsageError(
-                f"{name!r}: a regressor of {len(design.each)} elements of delta cannot be "
+                f"{name!r}: a regressor of {len(design.members)} elements of delta cannot be "
                 "exported; expected one regressor per element"
             )
         kernel = kernels.regressor(design.constants)
