@@ -255,6 +255,8 @@ def noise_of(
         covariance = stated_covariance(None, kind.covariance, outputs)
         assert covariance is not None
         return covariance, f"{identifier}.covariance"
+    if isinstance(given, Sequence) and len(given) == 1:
+        given = given[0]  # of all outputs
     stated = {
         option("noise"): given,
         f"{identifier}.deviation": kind.deviation,

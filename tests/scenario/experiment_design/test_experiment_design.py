@@ -8,6 +8,7 @@ import pytest
 import cosim
 from cosim.errors import UsageError
 from cosim.scenario.experiment_design.trial import DesignSubject
+from tests.scenario.online import TWO_OUTPUTS
 
 FAST = {"scenario.step": 0.05, "scenario.stop": 20.0, "observer.filter_rate": 20.0}
 TINY = {
@@ -116,6 +117,18 @@ def test_theta_given_replaces_that_of_the_disturbance():
     trial = subject.trial()
     assert trial.regression.theta.tolist() == [-0.2, -0.05]
     assert trial.bound().residual < 1e-10
+
+
+@pytest.mark.parametrize(
+    ("noise", "variances"),
+    [(0.5, [0.25, 0.25]), ([0.5], [0.25, 0.25]), ([0.5, 2.0], [0.25, 4.0]), (None, [0.01, 1e-6])],
+)
+def test_noise_is_of_all_outputs_or_of_each(noise, variances):
+    """A number, also in a list as the command has it, one per output, or that of the sensor."""
+    scenario = cosim.load("academic-noisy").set({**TWO_OUTPUTS, "scenario.stop": 8.0})
+    trial = DesignSubject(scenario, noise=noise).trial()
+    np.testing.assert_allclose(trial.covariance, np.diag(variances), rtol=1e-15)
+    assert trial.noise_source == ("sensor.noise" if noise is None else "noise")
 
 
 UNKNOWN = {"delta": {"kind": "constant", "value": 1.0}}
