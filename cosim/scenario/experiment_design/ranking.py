@@ -147,13 +147,11 @@ class ExperimentDesign:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        content: dict[str, Any] = {}
-        for name, value in vars(self).items():
-            if name in ("designs", "omitted"):
-                content[name] = [one.to_dict() for one in value]
-            else:
-                content["noise" if name == "noise_source" else name] = plain(value)
-        return content
+        content = dict(vars(self))
+        for name in ("designs", "omitted"):
+            content[name] = [row.to_dict() for row in content[name]]
+        renamed = {"noise_source": "noise"}
+        return {renamed.get(name, name): plain(value) for name, value in content.items()}
 
 
 def design(

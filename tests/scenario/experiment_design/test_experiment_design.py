@@ -147,7 +147,6 @@ OTHER_TERMS = {"regressor.delays": [1.0, 2.0], "regressor.terms": [{"family": "e
         ("academic-noisy", {**FAST, **UNKNOWN}, {}, "theta is unknown: no single component"),
         ("academic-noisy", {**FAST, **OTHER_TERMS}, {}, "'regressor' and in 'delta', .*different"),
         ("academic-noisy", {**FAST, "sensor.period": 0.1}, {}, "values between the samples"),
-        ("academic-noisy", {**FAST, "observer.relinearize": True}, {}, "relinearized at its"),
         ("closed-loop", {}, {"noise": 1e-3}, "depends on its y"),
         ("pair", {}, {}, "pair: identifiers: expected one .*, got none"),
     ],

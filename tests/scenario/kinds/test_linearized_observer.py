@@ -327,5 +327,8 @@ def test_options_of_another_filter_or_model_are_refused(folder):
         cosim.run(folder / "academic.toml", set=changes)
 
     check_refused(ANEW_REFUSED, refuse, ScenarioError)
+    regression = OF_FMU | {"identifier.method": "least-squares", "identifier.start": 4.0}
+    with pytest.raises(UsageError, match="relinearized during the run, so y has no fixed model"):
+        cosim.design(folder / "academic.toml", set=regression, noise=1e-3)
     with pytest.raises(UsageError, match="relinearize = false"):
         export_component(far_swing(folder).set(ANEW), "observer", folder / "x.fmu")
