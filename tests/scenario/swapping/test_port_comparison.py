@@ -8,11 +8,11 @@ from cosim.scenario.kinds.values import LinearSystem
 from cosim.scenario.recordings.port_comparison import (
     CAPABILITIES,
     INITIAL,
-    NOMINAL,
     START,
-    ComparedComponent,
-    compare_components,
+    compare,
+    describe,
     rate_between,
+    responses_at,
 )
 
 ABLE = {"kind": "model exchange", **dict.fromkeys(CAPABILITIES, True)}
@@ -36,7 +36,7 @@ AFTER = Interface(
 
 def verdicts(before, after, **options):
     """Compare by name; return the verdicts by (port, aspect)."""
-    rows = compare_components(before, after, **options)
+    rows = compare(before, after, **options)
     return {(row.port, row.aspect): row.verdict for row in rows}
 
 
@@ -45,13 +45,11 @@ def test_every_aspect_has_a_verdict():
 
     Units that convert differ, units of one meaning do not.
     """
-    before = ComparedComponent(
+    before = describe(
         BEFORE, ABLE, {START: {"u": np.array([1.0])}, INITIAL: {"s": np.array([2.0])}}
     )
     able = {**ABLE, "kind": "co-simulation", "rollback": False, "variable step": None}
-    after = ComparedComponent(
-        AFTER, able, {START: {"u": np.array([2.0])}, INITIAL: {"s": np.array([2e3])}}
-    )
+    after = describe(AFTER, able, {START: {"u": np.array([2.0])}, INITIAL: {"s": np.array([2e3])}})
     found = verdicts(before, after, refused={"delta", "x_a"})
     assert {key: verdict for key, verdict in found.items() if verdict != "ok"} == {
         ("u", "variability"): "differs",
@@ -73,9 +71,9 @@ def test_every_aspect_has_a_verdict():
 
 def test_values_are_compared_in_one_unit():
     """2 m are 2000 mm; 2 mm are not 2 m."""
-    before = ComparedComponent(BEFORE, ABLE, {INITIAL: {"s": np.array([2.0])}})
+    before = describe(BEFORE, ABLE, {INITIAL: {"s": np.array([2.0])}})
     for millimetres, verdict in ((2e3, "ok"), (2.0, "differs")):
-        after = ComparedComponent(AFTER, ABLE, {INITIAL: {"s": np.array([millimetres])}})
+        after = describe(AFTER, ABLE, {INITIAL: {"s": np.array([millimetres])}})
         assert verdicts(before, after)["s", "initial output"] == verdict
 
 
@@ -85,9 +83,7 @@ def test_values_are_compared_in_one_unit():
 )
 def test_small_values_are_compared_by_their_size(before, after, verdict):
     """Capacitances in F are no rounding; what that leaves of 0 is no difference."""
-    old, new = (
-        ComparedComponent(BEFORE, ABLE, {START: {"u": np.array([u])}}) for u in (before, after)
-    )
+    old, new = (describe(BEFORE, ABLE, {START: {"u": np.array([u])}}) for u in (before, after))
     assert verdicts(old, new)["u", "start value"] == verdict
 
 
@@ -96,7 +92,7 @@ def test_each_element_is_compared_in_its_unit():
 
     def initial(units, values):
         interface = Interface((), (Signal("y", 2, unit=units),))
-        return ComparedComponent(interface, ABLE, {INITIAL: {"y": np.array(values)}})
+        return describe(interface, ABLE, {INITIAL: {"y": np.array(values)}})
 
     before = initial(("m", "s"), [2.0, 1.0])
     found = verdicts(before, initial(("mm", "s"), [2e3, 1.0]))
@@ -108,14 +104,33 @@ def test_each_element_is_compared_in_its_unit():
 
 
 def test_sizes_are_compared_in_one_unit():
-    """A factor of ten is the limit; zeros and what is not known have no size."""
-    before = ComparedComponent(BEFORE, ABLE, {NOMINAL: {"s": np.array([2.0])}})
-    for millimetres, another in ((2e3, False), (2e4, False), (2.1e4, True), (1.9e2, True), (0, 0)):
-        after = ComparedComponent(AFTER, ABLE, {NOMINAL: {"s": np.array([millimetres])}})
-        rows = compare_components(before, after)
-        (row,) = [row for row in rows if (row.port, row.aspect) == ("s", "nominal")]
-        assert row.of_another_size == another
+    """A factor of ten is the limit; what is not known has no size."""
+
+    def nominal(unit, *sizes):
+        return describe(Interface((), (Signal("s", unit=unit, nominal=sizes),)), ABLE)
+
+    before = nominal("m", 2.0)
+    for millimetres, another in ((2e3, False), (2e4, False), (2.1e4, True), (1.9e2, True)):
+        (row,) = [row for row in compare(before, nominal("mm", millimetres)) if row.ratio]
+        assert (row.aspect, row.of_another_size) == ("nominal", another)
         assert row.verdict == ("differs" if another else "ok")
+    assert verdicts(before, nominal("m"))["s", "nominal"] == "unknown"
+
+
+def test_what_neither_component_says_is_no_agreement():
+    """Units, numbers, feedthrough and capabilities: no row, where one of both says it "unknown"."""
+    silent = describe(Interface((Signal("u"),), (Signal("y"),), {"y": None}), {"kind": "lag"})
+    aspects = {("y", "unit"), ("y", "feedthrough"), ("u", START), ("", "rollback"), ("", "poles")}
+    assert aspects.isdisjoint(verdicts(silent, silent))
+    telling = describe(
+        Interface((Signal("u"),), (Signal("y", unit="m"),)),
+        {"kind": "lag", "rollback": True},
+        {START: {"u": np.zeros(1)}},
+        first_order(-1.0, gain=1.0),
+    )
+    found = verdicts(silent, telling)
+    assert {found[key] for key in aspects - {("y", "feedthrough")}} == {"unknown"}
+    assert found["y", "feedthrough"] == "differs"  # what may follow at once decides the order
 
 
 def first_order(a, *, gain, error=0.0):
@@ -133,13 +148,14 @@ def test_responses_and_poles_are_compared_within_their_error():
     rate = 2.0 * 2.0**0.5
 
     def component(system):
-        return ComparedComponent(interface, ABLE, system=system)
+        return describe(interface, ABLE, system=system)
 
     for gain in (4.0, 4e-12):
-        exact = component(first_order(-2.0, gain=gain))
-        assert rate_between(exact.system) == pytest.approx(rate)
+        system = first_order(-2.0, gain=gain)
+        exact = component(system)
+        assert rate_between(system) == pytest.approx(rate)
         for frequency in (0.0, rate):
-            found = exact.responses(frequency, exact)["y"]["u", "y"].value
+            ((found, _),) = responses_at(frequency, exact, units_of=exact).values()
             assert found == pytest.approx(gain / (2.0 + 1j * frequency), rel=1e-14)
         for error, verdict in ((0.0, "differs"), (1e-7, "ok")):
             close = component(first_order(-2.0 - 1e-7, gain=gain, error=error))
@@ -148,6 +164,7 @@ def test_responses_and_poles_are_compared_within_their_error():
             # at another rate only where static gains tell nothing
             response = "ok" if verdict == "ok" else None
             assert found.get(("y", f"response at {rate:.3g} rad/s")) == response
-    integrator = component(first_order(0.0, gain=1.0))
-    assert integrator.responses(0.0, integrator) is None
-    assert rate_between(integrator.system) == 1.0
+    system = first_order(0.0, gain=1.0)
+    integrator = component(system)
+    assert responses_at(0.0, integrator, units_of=integrator) is None
+    assert rate_between(system) == 1.0

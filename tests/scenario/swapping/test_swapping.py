@@ -2,6 +2,7 @@
 
 import json
 import re
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 
@@ -13,6 +14,8 @@ from cosim.errors import ScenarioError
 from cosim.report.summary import summarize
 from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import find
+from cosim.scenario.recordings.recording import build_experiment
+from cosim.scenario.recordings.swap_comparison import compare_swaps
 from tests.scenario.refusals import check_refused
 from tests.scenario.signals import COARSE
 from tests.scenario.swapping.renamed import MAP, PACKED, packed, renamed
@@ -81,6 +84,10 @@ def test_a_table_of_two_units_takes_the_place_of_a_vector(tmp_path):
         assert swapped.signals["plant.y"].unit == ("m", "m/s")
         assert swapped["control.u"] == pytest.approx(log["control.u"], rel=1e-12)
     assert swapped.signals["plant.y_samples"].unit == ("mm", "mm/s")
+    edited = cosim.load(tmp_path / "a.toml").edit(swap=swap, map=names)
+    with ExitStack() as resources:  # a member of a study, of which the swap is compared once
+        again = build_experiment(edited, resources, reports=compare_swaps(edited))
+        assert again.graph.layout["plant"].by_name["y"].unit == ("m", "m/s")
     (tmp_path / "y.csv").write_text(f"t [s],place [mm],speed\n{rows}\n")
     with pytest.raises(ScenarioError, match=r"'place' has unit 'mm', 'speed' has none"):
         cosim.run(tmp_path / "a.toml", swap=swap, map={"plant.y": ["place", "speed"]})
