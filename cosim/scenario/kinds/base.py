@@ -29,7 +29,7 @@ from cosim.instants import StepNs, step_seconds, step_value
 from cosim.scenario.document.document import Document
 from cosim.scenario.document.places import Key
 from cosim.scenario.document.schema import AnyUnit, File, Settings, StepTime, TomlTable
-from cosim.scenario.document.swaps import MapEntry, ports_in
+from cosim.scenario.document.swaps import Map, ports_in
 from cosim.scenario.kinds.build_record import TABLES_ALONE, DependsOnInvalid, Origins
 from cosim.scenario.kinds.loading import CodeLoading
 from cosim.scenario.kinds.models import LETTERS, system_of, system_of_file
@@ -311,7 +311,7 @@ class ScenarioTables(Protocol):
         ...
 
     @property
-    def maps(self) -> Mapping[str, list[MapEntry]]:
+    def maps(self) -> Mapping[str, Map]:
         """Of the swapped components."""
         ...
 
@@ -551,8 +551,8 @@ class BuildContext(CodeLoading):
     def mapped(self, name: str) -> list[Port]:
         """Return the ports of a swapped component that its map names."""
         ports: list[Port] = []
-        for entry in self._scenario.maps.get(name, []):
-            ports += entry.renaming.sources
+        for renaming in self._scenario.maps.get(name, {}).values():
+            ports += renaming.sources
         return ports
 
     def of_kind(self, kind: type[AnyKind]) -> dict[str, AnyKind]:
