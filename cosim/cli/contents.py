@@ -89,7 +89,7 @@ def _show_contents(content: dict[str, Any]) -> Shown:
     for title, section in fmu_sections(content) if "fmu" in content else content.items():
         if title == "differences":
             for component, rows in section.items():
-                texts = [row_texts(row, whole=row["port"] == component) for row in rows]
+                texts = list(map(row_texts, rows))
                 sections.append((f"{component}: differences from the replaced component", texts))
         elif title != "problems":  # printed as an error
             sections.append((title, section))

@@ -366,7 +366,8 @@ def _response_rows(
 ) -> Iterator[ComparedAspect]:
     """Compare the responses of an output element by element, up to the first that differs.
 
-    Of elements that both have those are shown that differ, or all.
+    Of elements that both have those are shown that differ, or all; where they have none in common,
+    nothing can be compared.
     """
     for aspect, of_both in responses.items():
         before, after = (
@@ -377,6 +378,8 @@ def _response_rows(
             yield row(aspect, _plain(before), _plain(after), "unknown")
             continue
         both = [ends for ends in before if ends in after]
+        if not both:
+            continue
         different = []
         for ends in both:
             (there, there_terms), (here, here_terms) = before[ends], after[ends]

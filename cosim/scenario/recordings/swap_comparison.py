@@ -20,8 +20,8 @@ from cosim.core.port import Port, named_ports
 from cosim.core.recorded.partial import declared_channels
 from cosim.core.recording import CompleteRecording
 from cosim.core.signals import Interface
-from cosim.errors import CosimError, GraphError, ScenarioError
-from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description
+from cosim.errors import CosimError, ScenarioError
+from cosim.fmi.description import INTERFACE_TYPE_NAMES
 from cosim.log.contents.metadata import json_table
 from cosim.scenario.building.build import Builder, parse
 from cosim.scenario.building.coupling import with_loop_gains
@@ -237,21 +237,8 @@ def _declared(
     )
     capabilities: dict[str, Any] = {"kind": INTERFACE_TYPE_NAMES[interface_type]}
     capabilities |= zip(CAPABILITIES, able, strict=True)
-    starts = _start_values(builder, name, description)
+    starts = {signal.name: np.array(signal.initial_values) for signal in interface.inputs}
     return describe(interface, capabilities, {START: starts, **numbers})
-
-
-def _start_values(builder: Builder, name: str, description: Description) -> dict[str, Vector]:
-    """Return the start values of inputs by port, where they are declared."""
-    values: list[float] = []
-    for _, variables in description.ports("input"):
-        for variable in variables:
-            values += (np.nan,) * variable.size if variable.start is None else variable.start
-    shown = np.array(values)
-    if name in builder.port_maps:
-        shown = builder.port_maps[name].shown_inputs(shown)
-    columns = builder.components[name].interface.input_columns().items()
-    return {port: shown[own] for port, own in columns if not np.isnan(shown[own]).any()}
 
 
 def _linear_system(builder: Builder, name: str) -> LinearSystem | None:
@@ -280,15 +267,20 @@ def _report(
     refused: list[Port] = []
     unconverted: list[Port] = []
     wrong = {key[:2] for key, _ in builder.problems}
+    with_unit = set()
+    for other, component in builder.components.items():
+        signals = component.interface.signals
+        with_unit |= {f"{other}.{signal.name}" for signal in signals if signal.unit is not None}
     scenario = builder.scenario
     for to, connection in scenario.connections.items():
         ports = [to, *connection.sources]
         named += ports
         if ("connections", str(to)) in wrong:
             refused += ports
-        if not _has_unit(builder, to):
+        undeclared = [port for port in ports if with_unit.isdisjoint({str(port), str(port.whole)})]
+        if to in undeclared:
             unconverted += connection.sources
-        if connection.unit is None and not all(_has_unit(builder, one) for one in ports[1:]):
+        if connection.unit is None and undeclared not in ([], [to]):
             unconverted.append(to)
     for estimate, truth in scenario.file.truth.items():
         ports = ports_in([estimate, *named_ports(truth)])
@@ -306,17 +298,6 @@ def _report(
     missing = [port for port in before.ports if port in connected and port not in after.ports]
     proposals = propose(before, after, missing)
     return SwapReport(name, rows, proposals, frozenset(_names_of(unconverted, name)))
-
-
-def _has_unit(builder: Builder, port: Port) -> bool:
-    """Return whether a port of a component that was built has a unit."""
-    if port.component not in builder.components:
-        return False
-    try:
-        match = port.find(builder.components[port.component].interface.by_name)
-    except GraphError:  # no such element: that of its connection
-        return False
-    return match is not None and match[0].unit is not None
 
 
 def _names_of(ports: list[Port], component: str) -> set[str]:

@@ -63,8 +63,7 @@ class SwapReport:
             rows = list(group)
             different = [row for row in rows if row.verdict != "ok"]
             for row in different or [_agreed(rows)]:
-                named = {**asdict(row), "port": self._port(port)}
-                lines.append(row_texts(named, whole=not port))
+                lines.append(row_texts({**asdict(row), "port": self._port(port)}))
         return lines
 
     @property
@@ -156,23 +155,17 @@ def _agreed(rows: Sequence[ComparedAspect]) -> ComparedAspect:
     return replace(first, aspect=first.before, before=text)
 
 
-def row_texts(row: Mapping[str, Any], *, whole: bool) -> dict[str, str]:
-    """Return a row of :meth:`SwapReport.to_dict` as people read it.
-
-    Parameters
-    ----------
-    row : mapping
-    whole : bool
-        Whether it is of the component as a whole, which nothing connects.
-    """
+def row_texts(row: Mapping[str, Any]) -> dict[str, str]:
+    """Return a row of :meth:`SwapReport.to_dict` as people read it."""
     before, after = different_texts(row["before"], row["after"])
+    is_port = "." in row["port"]  # else the component as a whole, which nothing connects
     return {
         "": port_label(row["port"], row.get("source")),
         "aspect": row["aspect"],
         "before": before,
         "after": "the same" if row["verdict"] == "ok" else after,
         "verdict": row["verdict"],
-        "connected": "" if whole else shown(row["connected"]),
+        "connected": shown(row["connected"]) if is_port else "",
     }
 
 
