@@ -451,18 +451,20 @@ def propose(
 
 def _reasons(old: DescribedPort, new: DescribedPort) -> list[str]:
     """Return what a port has in common with a missing one; nothing where it cannot be that."""
-    natures = [(one.causality, one.type, len(one.units)) for one in (old, new)]
-    if natures[0] != natures[1] or None in conversions_between(new.units, old.units):
+    rows = {row.aspect: row for row in _port_rows(partial(ComparedAspect, ""), old, new, "error")}
+    agreed = {aspect for aspect, row in rows.items() if row.verdict == "ok"}
+    unit = rows["unit"]
+    if not {"causality", "type", "size"} <= agreed or unit.verdict == "error":
         return []
     reasons = [f"{new.causality} of size {len(new.units)}, {new.type}"]
-    units = [units_text(one.units) for one in (old, new)]
-    if all(units):
-        reasons.append(f"unit {units[1]!r}")
+    if unit.verdict != "unknown":
+        reasons.append(f"unit {unit.after!r}")
+    # by number: the ports at the other end may have other names, too
     ways = (old.feedthrough, new.feedthrough)
     if ways[0] is not None and ways[1] is not None and len(ways[0]) == len(ways[1]):
         reasons.append(feedthrough_text(new.causality, ways[1]))
-    if _same_values(old.numbers.get(INITIAL), _in_unit_of(old, new, INITIAL)) == "ok":
-        reasons.append(f"initial output {shown(new.numbers[INITIAL])}")
+    if INITIAL in agreed:
+        reasons.append(f"{INITIAL} {shown(rows[INITIAL].after)}")
     return reasons
 
 
