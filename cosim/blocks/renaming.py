@@ -48,7 +48,7 @@ def map_ports(
     Raises
     ------
     GraphError
-        With every problem of the renamings.
+        With the first problem of every port.
     """
     ports, problems = resolve(interface, renamings, replaced)
     if problems:

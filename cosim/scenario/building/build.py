@@ -134,7 +134,7 @@ class Builder:
         self._wrong: set[str] = set()  # components with problems that do not stop their build
         for name, interface in self._replaced.items():
             own = scenario.maps.get(name, {})
-            self.problems += unknown_ports(scenario.tree, own, interface)
+            self.problems += unknown_ports(scenario.tree, name, own, interface)
         for name, spec in scenario.specs.items():
             self._build(name, spec)
         self._drop_repeated_problems()

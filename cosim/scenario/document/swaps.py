@@ -233,24 +233,27 @@ def is_map_key(key: Key) -> bool:
     return key[:1] == (MAP,) or (key[:1] == ("swap",) and key[2:3] == ("map",))
 
 
-def unknown_ports(tree: Mapping[str, Any], own: Map, replaced: Interface) -> list[Problem]:
+def unknown_ports(
+    tree: Mapping[str, Any], name: str, own: Map, replaced: Interface
+) -> list[Problem]:
     """Return the problems of entries for ports that nothing knows.
 
     Parameters
     ----------
     tree : mapping
         Tables of a scenario, swaps applied.
+    name : str
+        Of a component.
     own : Map
-        Of one component.
+        Of it.
     replaced : Interface
         Of the component that is replaced.
     """
-    ports = WrittenPorts(tree)
+    known = dict.fromkeys(WrittenPorts(tree).of(name))
+    known |= dict.fromkeys(f"{name}.{signal.name}" for signal in replaced.signals)
     problems: list[Problem] = []
     for key, renaming in own.items():
         port = renaming.port
-        signals = [f"{port.component}.{signal.name}" for signal in replaced.signals]
-        known = dict.fromkeys([*ports.of(port.component), *signals])
         if known.keys().isdisjoint({str(port), str(port.whole)}):
             text = (
                 f"unknown port '{port}': neither connected nor a port of the replaced component; "
