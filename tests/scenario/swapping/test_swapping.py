@@ -154,16 +154,6 @@ def test_a_vector_may_be_made_of_elements(by_hand, other, names):
     assert run["plant.x_a"].tolist() == by_hand["plant.s"].tolist()
 
 
-def test_scalars_may_make_a_vector_and_an_input_its_elements(folder):
-    """Each element of x_a in its place, turned round; what nothing covers keeps its own name."""
-    names = {**PACKED, "plant.x_a": ["out[2]", "out[0]"]}
-    run = cosim.run(
-        "academic", swap={"plant": folder / "packed.fmu"}, map=names, set={"scenario.stop": 0.1}
-    )
-    assert (run["plant.x_a"] == run["plant.out"][:, [2, 0]]).all()
-    assert run["plant.s"].shape == (101, 2)
-
-
 def test_a_swap_of_the_file_may_choose_the_interface_type_and_give_way_to_an_option(
     other, tmp_path
 ):
