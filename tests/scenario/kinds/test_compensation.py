@@ -146,7 +146,7 @@ NO_COMPENSATORS = [
     ({}, {"interval": []}, r"interval: expected 1 rows, \[lower, upper\] of rate, got 0"),
     ({}, {"interval": [[2.0, 1.0]]}, "lower <= upper"),
     ({}, {"Q": [[1.0]]}, "Q.*4 numbers"),
-    ({}, {"lower": [0.0, 1.0]}, r"lower: expected one number, or one per input \(1\), got 2"),
+    ({}, {"lower": [0.0, 1.0]}, "lower: expected one number, or one for each of 1 elements, got 2"),
     ({'"compensator.theta" = "theta.y"': ""}, {}, "requires the input 'theta'"),
     ({'terms = [{ family = "sine" }]': ""}, {}, "internal_model: the disturbance is not described"),
     ({'"sine" }': '"sine", alpha = "1+t" }'}, {}, "expected constant alphas, got '1[+]t'"),

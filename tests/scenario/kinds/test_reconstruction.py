@@ -272,7 +272,7 @@ WRONG_FILTERS = [
     ({"filter": "auto"}, r"expected either noise, .*or noise_from"),
     ({"filter": "auto", "noise": 1.0, "noise_from": "x.mcap"}, r"expected either noise"),
     ({"filter": "auto", "noise": -1.0}, r"noise: expected .*>= 0, got \[-1.0\]"),
-    ({"filter": "auto", "noise": [1.0, 2.0]}, r"noise: expected 1 numbers, .*got 2"),
+    ({"filter": "auto", "noise": [1.0, 2.0]}, r"noise: expected one .*1 elements, got 2"),
     ({"filter": "auto", "noise": 1e3}, r"leaves an error of"),
     ({"filter": "auto", "noise_from": "no.mcap"}, r"no\.mcap"),
     ({**SG, "half_width": 0.0105}, r"half_width.*nearest"),

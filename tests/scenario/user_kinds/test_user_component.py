@@ -14,6 +14,8 @@ from cosim.log import open_log
 from cosim.report.inspection import describe_log, describe_scenario
 from cosim.report.summary import summarize
 from cosim.report.verification import verify
+from cosim.scenario.building.build import parse
+from cosim.scenario.document.document import Document
 from cosim.scenario.kinds import user_code
 from tests.scenario.refusals import check_refused
 from tests.scenario.user_modules import RELAY, THERMOSTAT, one, own_module, write
@@ -262,6 +264,24 @@ WRONG_MODULES = [
     # the string itself is in no file: the line is the one that compiles it
     ("x = 1\neval('int32(float64*)')\n", r"SyntaxError: .*line 1\) \(.*/own\.py, line 2\)$"),
 ]
+
+
+NO_CLASS_NAMES = [
+    ("own", r"one\.toml:12: components\.own\.class: expected 'package\.module:Class', got 'own'$"),
+    ("own.Own", r"got 'own\.Own'; did you mean 'own:Own'\?$"),
+    ("own:", r"expected 'package\.module:Class', got 'own:'"),
+    ("a/own:Own", r"expected 'package\.module:Class', got 'a/own:Own'"),
+]
+
+
+def test_a_name_of_no_class_is_refused_before_anything_is_imported(tmp_path):
+    """At its line."""
+
+    def load(name):
+        document = one(tmp_path).document
+        parse(Document(document.text.replace("own:Own", name), "one.toml", tmp_path))
+
+    check_refused(NO_CLASS_NAMES, load, ScenarioError)
 
 
 def test_a_module_without_a_component_is_named_before_the_run(tmp_path):
