@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -72,6 +72,7 @@ if TYPE_CHECKING:
 
 # filter_rate x step above which a zero-order hold distorts the derivative by more than 2.5 %
 HOLD_LIMIT = 0.05
+Deviation = Annotated[Number, Field(ge=0.0)]
 
 
 class FmuModel(TomlTable):
@@ -161,7 +162,7 @@ class UnknownInputObserverKind(
         None,
         description=f"order of its polynomial, at most {HIGHEST_ORDER}; default: {DEFAULT_ORDER}",
     )
-    noise: Number | NumberRow | None = Field(
+    noise: Deviation | tuple[Deviation, ...] | None = Field(
         None, description="auto: standard deviation of the noise of y, one number or one per output"
     )
     noise_from: str | None = Field(
@@ -391,7 +392,7 @@ class UnknownInputObserverKind(
             )
         model = self.design_model_of(name, context)
         n_y = len(model.reduced.C3)
-        given = self._given_noise(n_y)
+        given = None if self.noise is None else per_element("noise", self.noise, n_y)
         spectrum = self._spectrum(name, context)
         request = {
             "noise": self.noise,
@@ -405,8 +406,8 @@ class UnknownInputObserverKind(
 
         def choose() -> dict[str, Any]:
             noise = given
-            if self.noise_from is not None:
-                noise = recorded_noise(context.recording(self.noise_from), name, n_y)
+            if noise is None:
+                noise = recorded_noise(context.recording(str(self.noise_from)), name, n_y)
             return choice(self.design(name, context).design.G, noise, spectrum, context.h)
 
         plain_request = json.loads(json.dumps(request))
@@ -415,15 +416,6 @@ class UnknownInputObserverKind(
             return SavitzkyGolay(result["half_width_steps"], result["order"], context.h)
         except AssumptionError as error:
             raise LogError(f"the recorded choice of {name!r} cannot be used: {error}") from error
-
-    def _given_noise(self, n_y: int) -> Vector:
-        """Return the deviation of the noise of each element of y; none where a log has it."""
-        if self.noise is None:
-            return np.zeros(0)
-        noise = per_element("noise", self.noise, n_y)
-        if (noise < 0.0).any():
-            raise UsageError(f"noise: expected standard deviations >= 0, got {noise.tolist()}")
-        return noise
 
     def _numbers(self, model: DesignModel, context: BuildContext) -> tuple[Matrix, ...]:
         """Return the numbers of the design model, as they are written or recorded."""

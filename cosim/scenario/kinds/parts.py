@@ -296,10 +296,12 @@ class SensorKind(PeriodicKind, HasSamples):
     kind: Literal["sensor"]
     delay: Number = Field(
         0.0,
+        ge=0.0,
         description="y(t) samples u(t - delay) [s]; u is interpolated between communication points",
     )
     jitter: Number = Field(
         0.0,
+        ge=0.0,
         description="largest deviation of the sampling instant [s], uniformly distributed, at most "
         "half a period; beyond t, u is extrapolated linearly",
     )
@@ -375,21 +377,14 @@ class SensorKind(PeriodicKind, HasSamples):
     def late_steps(self, context: BuildContext) -> int:
         if not self.time_stamps:
             return 0
-        latest = self._steps("delay", context) + self._steps("jitter", context)
+        latest = _in_steps(self.delay, context) + _in_steps(self.jitter, context)
         return math.floor(latest) + 1
-
-    def _steps(self, key: str, context: BuildContext) -> float:
-        """Return a time of the table in communication steps, also parts of a step."""
-        time: float = getattr(self, key)
-        if time < 0.0:
-            raise UsageError(f"{key}: expected a time >= 0 s, got {time} s")
-        return float(nanoseconds(time) / context.step_ns)
 
     def build(self, name: str, context: BuildContext) -> Sensor:
         parameters = SensorParameters(
             **self.given("size", "time_stamps", "delay", "jitter", "period"),
-            delay=self._steps("delay", context),
-            jitter=self._steps("jitter", context),
+            delay=_in_steps(self.delay, context),
+            jitter=_in_steps(self.jitter, context),
             period=self.period_steps(name, context.step_ns),
         )
         return Sensor(
@@ -400,6 +395,11 @@ class SensorKind(PeriodicKind, HasSamples):
             stamped=self.time_stamps,
             holds=self.period is not None,
         )
+
+
+def _in_steps(time: float, context: BuildContext) -> float:
+    """Return a time [s] in communication steps, also parts of a step."""
+    return float(nanoseconds(time) / context.step_ns)
 
 
 # --- controllers ---

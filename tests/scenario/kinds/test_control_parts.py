@@ -7,7 +7,6 @@ import pytest
 from fmpy.validation import validate_fmu
 
 import cosim
-from cosim.errors import RunError
 from cosim.fmi.reading.model_description import read
 from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import Document
@@ -138,15 +137,6 @@ def test_a_switch_jumps_at_communication_points_or_says_so(tmp_path, changes, y,
     assert after is None or log["after.y"].tolist() == after
     messages = "\n".join(message.text for message in log.messages())
     assert re.search(said, messages) if said else messages == ""
-
-
-def test_a_division_by_zero_names_component_and_time(tmp_path):
-    """The rows before it are in the log."""
-    text = PARTS.replace('"cos(9*t) + 1.3"]', '"0.25 - t"]')
-    with pytest.raises(
-        RunError, match=r"'product' stopped at t = 0.249 s: product: .*by zero: u2 is 0(\n|$)"
-    ):
-        cosim.run(parse(Document(text, "parts", tmp_path)))
 
 
 JUMP = """

@@ -6,7 +6,6 @@ import pytest
 import cosim
 from cosim.errors import ScenarioError
 from cosim.report.summary import summarize
-from cosim.scenario.exporting import export_component
 from cosim.scenario.record import component_record, recorded_warnings
 from tests.scenario.general_plant import GENERAL, X0, write
 from tests.scenario.refusals import check_refused
@@ -145,18 +144,6 @@ def test_a_filter_of_no_derivative_is_not_needed(tmp_path):
     useless = {"observer.filter_rate": 100.0, "observer.q0": [0.0]}
     same = cosim.run(path, set={"scenario.stop": 1.0, **useless})
     np.testing.assert_array_equal(same["observer.delta"], log["observer.delta"][: len(same["u.y"])])
-
-
-@pytest.mark.slow
-def test_an_exported_observer_is_the_component(direct, tmp_path):
-    """The same arithmetic in the FMU, feedthrough of y to delta included."""
-    path = direct("first-order")
-    log = cosim.run(path, set={"scenario.stop": 0.5})
-    export_component(str(path), "observer", tmp_path / "observer.fmu", fmi="3")
-    swap = {"observer": f"{tmp_path / 'observer.fmu'}#cs"}
-    fmu = cosim.run(path, swap=swap, set={"scenario.stop": 0.5})
-    for signal in ("observer.delta", "observer.x"):
-        np.testing.assert_allclose(fmu[signal], log[signal], rtol=0, atol=1e-9)
 
 
 CALM = GENERAL.replace("disturbances = [0]", "")
