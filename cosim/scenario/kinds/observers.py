@@ -523,5 +523,4 @@ class UnknownInputObserverKind(
 
 def _lagging_outputs(model: DesignModel) -> tuple[str, ...]:
     """Return the outputs that lag by as much as the reconstruction of delta does."""
-    lagging = {state.name for state in observer.lagging_states(model.reduced)}
-    return ("delta", *(output for output in ("x_b", "x") if output in lagging))
+    return ("delta", *(state.name for state in observer.lagging_states(model.reduced)))

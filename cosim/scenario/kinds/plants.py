@@ -36,10 +36,9 @@ def _dotted(value: Any) -> Any:
         return value
     names: dict[Any, Any] = {}
     for name, inner in value.items():
-        inside = _dotted(inner)
         found = {name: inner}
-        if isinstance(inside, dict) and inside:
-            found = {f"{name}.{part}": entry for part, entry in inside.items()}
+        if isinstance(inner, dict) and inner:
+            found = {f"{name}.{part}": entry for part, entry in _dotted(inner).items()}
         twice = names.keys() & found
         if twice:
             raise ValueError(f"{min(twice)!r} is given twice, with dots and in quotes")
