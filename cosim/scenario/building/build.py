@@ -632,7 +632,7 @@ class Builder:
         if isinstance(component, Replay) and name in self._declared:
             lacking = frozenset(self._declared[name].interface.input_names - held.keys())
         held |= dict.fromkeys(lacking, False)
-        texts = spec.advice(name, self.context, held=held, h=self.clock.h)
+        texts = spec.advice(name, self.context, held)
         return [] if lacking else texts
 
 

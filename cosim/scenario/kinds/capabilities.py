@@ -30,9 +30,7 @@ class Advising(ABC):
     """Its result may be right but costly or poor."""
 
     @abstractmethod
-    def advice(
-        self, name: str, context: BuildContext, *, held: Mapping[str, bool], h: float
-    ) -> list[str]:
+    def advice(self, name: str, context: BuildContext, held: Mapping[str, bool]) -> list[str]:
         """Return warnings about that.
 
         Parameters
@@ -43,8 +41,6 @@ class Advising(ABC):
             That it was built in.
         held : mapping of input name to bool
             Whether the input keeps its value over a communication step.
-        h : float
-            Communication step [s].
         """
 
 

@@ -445,12 +445,10 @@ class UnknownInputObserverKind(
             bandwidth=fastest.bandwidth if bandwidth is None else bandwidth,
         )
 
-    def advice(
-        self, name: str, context: BuildContext, *, held: Mapping[str, bool], h: float
-    ) -> list[str]:
+    def advice(self, name: str, context: BuildContext, held: Mapping[str, bool]) -> list[str]:
         if self.filter != "first-order" or self.filter_rate is None:
             return []
-        product = self.filter_rate * h
+        product = self.filter_rate * context.h
         if product <= HOLD_LIMIT:
             return []
         model = self.linear_model(name, context)

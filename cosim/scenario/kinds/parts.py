@@ -173,9 +173,7 @@ class SwitchKind(ExportableKind, Advising):
     )
     unit: PortUnits = Field(None, description=unit_of("u1, u2 and y"))
 
-    def advice(
-        self, name: str, context: BuildContext, *, held: Mapping[str, bool], h: float
-    ) -> list[str]:
+    def advice(self, name: str, context: BuildContext, held: Mapping[str, bool]) -> list[str]:
         if held["control"]:
             return []
         what = "control is interpolated linearly, and where it passes the threshold y jumps"

@@ -182,9 +182,7 @@ class ExpressionKind(Kind, Advising):
                 implied[Port(name, f"u{number}")] = ImpliedConnection(connection, None)
         return implied
 
-    def advice(
-        self, name: str, context: BuildContext, *, held: Mapping[str, bool], h: float
-    ) -> list[str]:
+    def advice(self, name: str, context: BuildContext, held: Mapping[str, bool]) -> list[str]:
         jumping = [text for text in self._texts if self._signals and jumps_with_signals(text)]
         if not jumping or all(held.values()):
             return []
