@@ -24,7 +24,7 @@ from cosim.scenario.building.experiment import Experiment, warnings_among
 from cosim.scenario.building.known_truth import disturbance_among, parameters_by_term
 from cosim.scenario.document.places import Problem
 from cosim.scenario.kinds.build_record import DependsOnInvalid
-from cosim.scenario.kinds.initial_states import change_text, changed_states
+from cosim.scenario.kinds.capabilities import change_text, changed_states
 from cosim.scenario.kinds.regressor import RegressorKind
 from cosim.theory.observers.assumptions import AssumptionVerdict, checked, refused, undecided
 

@@ -12,7 +12,6 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
-from cosim.blocks.compensator import Compensator
 from cosim.core.port import Port
 from cosim.errors import AssumptionError, UsageError
 from cosim.native.numerics.householder import triangle
@@ -23,18 +22,16 @@ from cosim.scenario.assumptions.beginning import (
     attempted,
 )
 from cosim.scenario.building.known_truth import covariance_of, noise_of
-from cosim.scenario.kinds.alphas import unchecked
 from cosim.scenario.kinds.build_record import DependsOnInvalid
-from cosim.scenario.kinds.compensators import CompensatorKind, observer_in_loop
+from cosim.scenario.kinds.compensators import CompensatorDesign, CompensatorKind
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.identification_source import IdentifierSource, start_time
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
 from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
-from cosim.scenario.kinds.terms import element_count, families_of
+from cosim.scenario.kinds.terms import element_count, families_of, unchecked
 from cosim.scenario.kinds.variants import LINEAR_METHODS
 from cosim.theory.assessment.accuracy import STEPS_CHECKED
 from cosim.theory.compensation.activation import Activation
-from cosim.theory.compensation.design import CompensatorGains
 from cosim.theory.compensation.state_feedback import slowest_rate, unreached_modes
 from cosim.theory.compensation.steady_input import KnownDisturbance, steady_input
 from cosim.theory.compensation.transmission_zeros import check_zeros
@@ -445,14 +442,8 @@ class _Compensation:
         return [*verdicts, attempted(LIMITS, self._limits)]
 
     @cached_property
-    def _gains(self) -> CompensatorGains:
-        return self.kind.gains(self.name, self.beginning.context)
-
-    @cached_property
-    def _compensator(self) -> Compensator:
-        context = self.beginning.context
-        observed = observer_in_loop(self.name, context)
-        return self.kind.compensator(observed, context, self._gains)
+    def _design(self) -> CompensatorDesign:
+        return self.kind.design(self.name, self.beginning.context)
 
     @cached_property
     def _identifier(self) -> str | None:
@@ -470,7 +461,7 @@ class _Compensation:
         return self.beginning.theta_behind(self._identifier)
 
     def _feedback(self) -> Evidence:
-        plant, K = self.kind.state_feedback(self.name, self.beginning.context)
+        plant, K = self._design.feedback
         eigenvalues = np.linalg.eigvals(plant.A - plant.B @ K).astype(np.complex128)
         fixed = unreached_modes(plant)
         n = len(plant.A)
@@ -486,7 +477,7 @@ class _Compensation:
         }
 
     def _zeros(self) -> Evidence:
-        gains = self._gains
+        gains = self._design.gains
         zeros = gains.plant.zeros
         values: dict[str, Any] = {"zeros": plain_modes(zeros)}
         evidence = f"transmission zeros from u to the regulated outputs: {modes(zeros)}"
@@ -505,8 +496,8 @@ class _Compensation:
     def _stability(self) -> Evidence:
         held = self.beginning.graph.held[self.name]
         h = self.beginning.clock.h
-        certified = self._compensator.certified(h, held)
-        self.beginning.designs[self.name] = self._compensator.design(certified, h)
+        certified = self._design.compensator.certified(h, held)
+        self.beginning.designs[self.name] = self._design.compensator.design(certified, h)
 
         def margin(what: str, rate: float) -> str:
             return (
@@ -527,12 +518,13 @@ class _Compensation:
         proven = "proven"
         if certified.theta:
             varies = "theta that varies" if certified.cells == 1 else "constant theta"
-            proven += f" for every {varies} in {self._gains.box.text}, in {certified.cells} cell(s)"
+            box = self._design.gains.box
+            proven += f" for every {varies} in {box.text}, in {certified.cells} cell(s)"
         slowest = margin("with it", certified.rate) + _where(certified.theta)
         return f"{proven}; {before}; {slowest}", values
 
     def _activation(self) -> Evidence:
-        box = self._gains.box
+        box = self._design.gains.box
         if not len(box.lower):
             return "the class has no parameter: the internal model is active from the start", {}
         largest_error = self.kind.largest_error
@@ -599,8 +591,8 @@ class _Compensation:
         return bound.standard_error
 
     def _limits(self) -> Evidence:
-        lower = self._compensator.options.lower
-        upper = self._compensator.options.upper
+        lower = self._design.compensator.options.lower
+        upper = self._design.compensator.options.upper
         needed = self._needed_input()
         values: dict[str, Any] = {}
         effort = ""
@@ -634,12 +626,11 @@ class _Compensation:
         delta = self.beginning.delta
         if theta is None or delta is None or not self.kind.internal_model:
             return None
-        context = self.beginning.context
-        families = self.kind.families(self.name, context)
+        families = self._design.families
         ends = np.cumsum([len(family.parameters) for family in families])
         of_families = np.split(theta, ends[:-1])
-        known = KnownDisturbance(families, of_families, delta, context.h)
-        plant, _ = self.kind.state_feedback(self.name, context)
+        known = KnownDisturbance(families, of_families, delta, self.beginning.context.h)
+        plant, _ = self._design.feedback
         return steady_input(plant, known)
 
 

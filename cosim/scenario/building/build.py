@@ -53,9 +53,14 @@ from cosim.scenario.kinds.build_record import (
     NotImported,
     Origins,
 )
-from cosim.scenario.kinds.capabilities import Advising, HasGivenStates, HasSamples, RenamesMore
+from cosim.scenario.kinds.capabilities import (
+    Advising,
+    GivenStates,
+    HasGivenStates,
+    HasSamples,
+    RenamesMore,
+)
 from cosim.scenario.kinds.identified_plant import IdentifiedPlant
-from cosim.scenario.kinds.initial_states import GivenStates
 from cosim.scenario.kinds.models import form_problems
 from cosim.scenario.kinds.plants import DescriptorKind
 from cosim.scenario.record import component_record
@@ -624,7 +629,7 @@ class Builder:
         if isinstance(component, Replay) and name in self._declared:
             lacking = frozenset(self._declared[name].interface.input_names - held.keys())
         held |= dict.fromkeys(lacking, False)
-        texts = spec.advice(name, self.context, held=held, h=self.clock.h)
+        texts = spec.advice(name, self.context, held)
         return [] if lacking else texts
 
 

@@ -12,10 +12,10 @@ from cosim.arrays import Matrix
 from cosim.core.port import Port
 from cosim.errors import UsageError, option, quoted
 from cosim.scenario.building.parsing import Scenario
-from cosim.scenario.kinds.control import SensorKind
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.identified_plant import stated_covariance
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
+from cosim.scenario.kinds.parts import SensorKind
 from cosim.scenario.kinds.regressor import RegressorKind
 from cosim.scenario.kinds.sources import DisturbanceKind
 from cosim.scenario.kinds.terms import FamilyTerm

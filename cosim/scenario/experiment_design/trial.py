@@ -32,12 +32,12 @@ from cosim.scenario.building.known_truth import (
     parameters_by_term,
 )
 from cosim.scenario.building.parsing import Scenario
-from cosim.scenario.kinds.control import SensorKind
 from cosim.scenario.kinds.field_data import FieldDataKind
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.identification_source import IdentifierSource
 from cosim.scenario.kinds.identified_plant import IdentifiedPlant, inputs_in_feedback
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
+from cosim.scenario.kinds.parts import SensorKind
 from cosim.scenario.kinds.plants import RecordingKind
 from cosim.scenario.kinds.regressor import RegressorKind
 from cosim.scenario.kinds.sources import NoiseKind

@@ -35,7 +35,6 @@ from cosim.scenario.document.schema import (
     NumberRows,
     StepTime,
 )
-from cosim.scenario.kinds.alphas import alpha_connections
 from cosim.scenario.kinds.base import (
     BuildContext,
     ExportableKind,
@@ -57,8 +56,9 @@ from cosim.scenario.kinds.identified_plant import (
     bounds_of,
     stated_covariance,
 )
-from cosim.scenario.kinds.reconstruction import delta_transient
+from cosim.scenario.kinds.observer_design import delta_transient
 from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
+from cosim.scenario.kinds.terms import alpha_connections
 from cosim.scenario.kinds.values import ImpliedConnection, shared_connections
 from cosim.scenario.kinds.variants import (
     LINEAR_METHODS,

@@ -19,8 +19,8 @@ from cosim.native.estimation.alphas import signals_among
 from cosim.scenario.document.schema import Number, TomlTable
 from cosim.scenario.kinds.base import BuildContext, Kind
 from cosim.scenario.kinds.capabilities import HasSamples
+from cosim.scenario.kinds.observer_design import AnyReconstruction
 from cosim.scenario.kinds.observers import DesignedObserver, UnknownInputObserverKind
-from cosim.scenario.kinds.reconstruction import AnyReconstruction
 from cosim.scenario.kinds.regressor import RegressorKind
 from cosim.scenario.kinds.values import ImpliedConnection
 from cosim.theory.assessment.accuracy import check_step

@@ -289,14 +289,10 @@ def _gridded(rows: Matrix, label: str) -> Points:
     u1 = np.unique(rows[:, 0])
     u2 = np.unique(rows[:, 1])
     pairs = len(u1) * len(u2)
-    if pairs == len(rows):
-        values = np.full((len(u1), len(u2)), np.nan)
-        first = np.searchsorted(u1, rows[:, 0])
-        second = np.searchsorted(u2, rows[:, 1])
-        values[first, second] = rows[:, 2]
-        different = np.unique(first * len(u2) + second)
-        if len(different) == pairs:
-            return [u1, u2], values
+    in_order = rows[np.lexsort((rows[:, 1], rows[:, 0]))]
+    grid = np.column_stack([np.repeat(u1, len(u2)), np.tile(u2, len(u1))])
+    if np.array_equal(in_order[:, :2], grid):
+        return [u1, u2], in_order[:, 2].reshape(len(u1), len(u2))
     raise UsageError(
         f"{label}: expected each pair of {len(u1)} x {len(u2)} breakpoints once ({pairs} "
         f"rows), got {len(rows)} rows"
