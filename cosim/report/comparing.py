@@ -1,4 +1,4 @@
-"""Several runs side by side: a scenario on several plants, its data by several estimators, replays.
+"""Several runs side by side: a scenario on several plants, its data by several estimators.
 
 A run that fails is an outcome like the others, with its reason.
 """
@@ -11,15 +11,13 @@ from dataclasses import asdict, dataclass
 from functools import cached_property, partial
 from itertools import chain, count
 from pathlib import Path
-from typing import Any, Final, TypeAlias, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
 from cosim.arguments import (
-    callable_argument,
     mapping_argument,
     path_argument,
-    setting_arguments,
     swap_argument,
     truth_argument,
 )
@@ -43,23 +41,18 @@ from cosim.scenario.document.swaps import (
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.variants import METHODS, IdentificationMethod, foreign_keys
 from cosim.scenario.record import recorded_identification, truth_of
-from cosim.scenario.recordings.recording import Progress, Target, check_target
-from cosim.scenario.running.combinations import check_varied, combination_text, combinations
+from cosim.scenario.recordings.recording import check_target
 from cosim.scenario.running.execution import load, run
-from cosim.scenario.running.replay import Replays, replay, replays_of
+from cosim.scenario.running.replay import replay
 from cosim.temporary import TemporaryFolder
 from cosim.theory.documents import ParameterVerdict
 from cosim.theory.quantiles import CONFIDENCE, normal_two_sided
 
 ALL: Final = "all"  # estimators
-ERROR: Final = " error"  # after the name of what it is of
-HALF_WIDTH: Final = " half-width"
-LARGEST_ERROR: Final = " largest error"
-SweepValue: TypeAlias = float | str | None
 _Made = TypeVar("_Made")
 
 
-def _attempt(make: Callable[[], _Made]) -> tuple[_Made | None, str]:
+def attempt(make: Callable[[], _Made]) -> tuple[_Made | None, str]:
     """Return what is made, or why it failed, whatever it is: the others go on."""
     try:
         return make(), ""
@@ -69,7 +62,7 @@ def _attempt(make: Callable[[], _Made]) -> tuple[_Made | None, str]:
         return None, str(error)
 
 
-def _targets(
+def log_paths(
     out: str | Path | None, names: Sequence[str], check: Callable[[Path | None], None]
 ) -> list[Path | None]:
     """Return where the log of each run goes, all of them checked; None: nowhere."""
@@ -244,7 +237,7 @@ def compare(
     plants: list[tuple[Scenario | None, str]] = []
     for path in paths:
         swapped = document.with_swaps({component: path}, maps[path])
-        plants.append(_attempt(partial(loaded.parse, swapped)))
+        plants.append(attempt(partial(loaded.parse, swapped)))
     if all(plant is None for plant, _ in plants):
         raise UsageError("\n".join(dict.fromkeys(error for _, error in plants)))
     labels = [_label(path) for path in paths]
@@ -253,12 +246,12 @@ def compare(
         plants.insert(0, (common, ""))
     labels = _distinct(labels)
     names = [label.replace("#", "-") for label in labels]
-    logs = _targets(out, names, partial(check_target, force=force))
+    logs = log_paths(out, names, partial(check_target, force=force))
     outcomes = []
     for label, (plant, error), log in zip(labels, plants, logs, strict=True):
         recording = None
         if plant is not None:
-            recording, error = _attempt(partial(run, plant, out=log, force=force))
+            recording, error = attempt(partial(run, plant, out=log, force=force))
         outcomes.append(PlantRun(label, recording, error))
     return Comparison(loaded.name, component, tuple(outcomes))
 
@@ -296,7 +289,7 @@ def _alternatives(swap: Mapping[str, Sequence[str | Path]], *, base: bool) -> tu
             f"{flag('base', False)}"
         )
     listed = [marked_path(str(path_argument("swap", path))) for path in paths]
-    errors = [_attempt(partial(component_table, component, path))[1] for path in listed]
+    errors = [attempt(partial(component_table, component, path))[1] for path in listed]
     if any(errors):
         raise UsageError("\n".join(f"{place}: {error}" for error in errors if error))
     return component, listed
@@ -498,7 +491,7 @@ def compare_estimators(
     edited = loaded.edit(swap=swap, map=map, set=mapping_argument("set", set))
     component = _identifier(edited)
     table = edited.document.tree()[0]["components"][component]
-    targets = _targets(out, [edited.name, *methods], partial(check_target, force=force))
+    targets = log_paths(out, [edited.name, *methods], partial(check_target, force=force))
     results = []
     with ExitStack() as resources:
         path = targets[0]
@@ -513,7 +506,7 @@ def compare_estimators(
             own = {key: value for key, value in table.items() if key not in foreign}
             changes = {component: {**own, "method": method}}
             times = {}
-            again, failure = _attempt(
+            again, failure = attempt(
                 partial(replay, log, set=changes, out=target, force=force, profile=times)
             )
             if again is None:
@@ -583,230 +576,3 @@ def _last(recording: Log | Memory, port: str) -> Vector | None:
     rows = as_columns(recording[port])
     last: Vector = rows[-1].copy() if len(rows) else np.full(rows.shape[1], np.nan)
     return last
-
-
-# --- replays ---
-
-
-@dataclass(frozen=True)
-class SweepRow:
-    """One replay of a sweep.
-
-    Parameters
-    ----------
-    values : mapping of dotted key to value
-        What was varied.
-    summary : Summary or None
-        None: the replay failed.
-    problem : str
-        Why it failed; empty: it did not.
-    path : Path or None
-        Of its log; None: none was written.
-    """
-
-    values: Mapping[str, Any]
-    summary: Summary | None
-    problem: str = ""
-    path: Path | None = None
-
-    @property
-    def results(self) -> dict[str, SweepValue]:
-        """What the result says, by column: see :func:`results_of`; empty where it failed."""
-        return {} if self.summary is None else results_of(self.summary)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        return {
-            "values": dict(self.values),
-            "results": self.results,
-            "problem": self.problem or None,
-            "log": None if self.path is None else str(self.path),
-            "summary": None if self.summary is None else self.summary.to_dict(),
-        }
-
-
-@dataclass(frozen=True)
-class ReplaySweep:
-    """Replays of one log with varied values.
-
-    Parameters
-    ----------
-    log : str
-        Its path.
-    varied : tuple of str
-        The keys whose values differ.
-    rows : tuple of SweepRow
-        One a combination, in their order.
-    """
-
-    log: str
-    varied: tuple[str, ...]
-    rows: tuple[SweepRow, ...]
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """The names of all results that a row has."""
-        return tuple(dict.fromkeys(chain.from_iterable(row.results for row in self.rows)))
-
-    def __getitem__(self, column: str) -> list[SweepValue]:
-        """Return a result in every row; None where there is none."""
-        return [row.results.get(column) for row in self.rows]
-
-    @property
-    def passed(self) -> bool:
-        """Whether no replay failed."""
-        return not any(row.problem for row in self.rows)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        return {
-            "log": self.log,
-            "varied": list(self.varied),
-            "columns": list(self.columns),
-            "rows": [row.to_dict() for row in self.rows],
-        }
-
-
-def results_of(summary: Summary) -> dict[str, SweepValue]:
-    """Return what the result of a run says, by name.
-
-    * of every estimate with a truth, and every parameter of an identifier: its value at the end;
-      with ``error`` after its name the distance from the truth, with ``half-width`` half of the
-      95 % interval;
-    * of every identifier: ``verdict``, those of its parameters, the same ones once; ``noise``, the
-      deviation of the noise of y by the residual (of several outputs ``noise[0]``, ...);
-    * of every estimated signal: ``rms error`` and ``largest error``, from the start of the
-      identification on;
-    * without a truth: the last values of the outputs.
-    """
-    results: dict[str, SweepValue] = {}
-    for outcome in summary.values:
-        results[outcome.estimate] = outcome.value
-        results[f"{outcome.estimate}{ERROR}"] = outcome.error
-    for identification in summary.identifications:
-        name = identification.component
-        verdicts = dict.fromkeys(one.verdict for one in identification.parameters)
-        for parameter in identification.parameters:
-            results.setdefault(parameter.estimate, parameter.value)
-            results[f"{parameter.estimate}{HALF_WIDTH}"] = parameter.half_width
-        if verdicts:
-            results[f"{name} verdict"] = ", ".join(verdicts)
-        results |= _elements(f"{name} noise", identification.deviation)
-    for signal in summary.signals:
-        results[f"{signal.estimate} rms error"] = signal.rms
-        results[f"{signal.estimate}{LARGEST_ERROR}"] = signal.largest
-    for name, last in summary.last.items():
-        results |= _elements(name, last if isinstance(last, list) else [last])
-    return results
-
-
-def _elements(name: str, values: Sequence[float]) -> dict[str, SweepValue]:
-    """Return values by name; of several each has its number."""
-    if len(values) == 1:
-        return {name: values[0]}
-    return {f"{name}[{number}]": value for number, value in enumerate(values)}
-
-
-def replay_sweep(
-    log: str | Path | Log,
-    *,
-    vary: Mapping[str, Sequence[Any]],
-    set: Mapping[str, Any] | None = None,
-    swap: Mapping[str, str | Path] | None = None,
-    map: Mapping[str, PortNames] | None = None,
-    allow_code: bool = False,
-    rerun: bool = False,
-    window: tuple[float | None, float | None] | None = None,
-    components: Sequence[str] | None = None,
-    scenario: str | Path | Scenario | None = None,
-    stop: float | None = None,
-    verdicts: bool | None = None,
-    out: str | Path | None = None,
-    force: bool = False,
-    progress: Progress | None = None,
-) -> ReplaySweep:
-    """Replay a log with every combination of some values: one log, many answers.
-
-    All combinations are checked before the first is run. What is taken from a log of cosim is read
-    once.
-
-    Parameters
-    ----------
-    log : str, Path or Log
-        As of :func:`cosim.replay`: of a log that was rotated with the files before it.
-    vary : mapping of dotted key to sequence of values
-        Such as ``{"identifier.P0": [1e3, 1e6], "observer.filter_rate": [100.0, 300.0]}``; there
-        are at most 1000 combinations.
-    set : mapping of dotted key to value, optional
-        What all of them have; not what is varied.
-    swap, map, allow_code, rerun, window, components, scenario, stop, verdicts
-        As of :func:`cosim.replay`.
-    out : str or Path, optional
-        Folder for their logs, ``1.mcap``, ``2.mcap``, ... in the order of the rows; without it
-        nothing is written.
-    force : bool
-        Replace logs there.
-    progress : callable, optional
-        Called with simulated time and end [s], of all replays together.
-
-    Raises
-    ------
-    UsageError
-        As from :func:`cosim.replay`, before the first replay; it names the combination.
-    Interrupted
-        If the user interrupts one.
-    """
-    callable_argument("progress", progress)
-    force = truth_argument("force", force)
-    with setting_arguments(set, stop=stop, verdicts=verdicts) as changes:
-        replays = replays_of(
-            log,
-            set=changes,
-            swap=swap,
-            map=map,
-            allow_code=allow_code,
-            rerun=rerun,
-            window=window,
-            components=components,
-            scenario=scenario,
-        )
-        return sweep_of(replays, vary, out=out, force=force, progress=progress)
-
-
-def sweep_of(
-    replays: Replays,
-    vary: Mapping[str, Sequence[Any]],
-    *,
-    out: str | Path | None,
-    force: bool,
-    progress: Progress | None,
-) -> ReplaySweep:
-    """Replay with every combination of some values; parameters as of :func:`replay_sweep`."""
-    rows = combinations(vary)
-    check_varied(replays.changes, rows[0])
-    names = [str(number) for number in range(1, len(rows) + 1)]
-    targets = _targets(out, names, partial(replays.check_target, force=force))
-    for values in rows:
-        try:
-            replays.check(values)
-        except UsageError as error:
-            text = str(error)
-            if len(values) == 1:
-                text = text.removeprefix(f"{option('set', next(iter(values)))}: ")
-            raise UsageError(f"{combination_text(values)}: {text}") from error
-    done = []
-    for number, (values, path) in enumerate(zip(rows, targets, strict=True)):
-        part = None
-        if progress is not None:
-            part = partial(_part, progress, number, len(rows))
-        again, problem = _attempt(
-            partial(replays.record, values, Target(path, force), progress=part)
-        )
-        summary = None if again is None else summarize(again)
-        done.append(SweepRow(values, summary, problem, path))
-    return ReplaySweep(replays.label, tuple(rows[0]), tuple(done))
-
-
-def _part(progress: Progress, number: int, count: int, time: float, end: float) -> None:
-    """Report the progress of one replay as a part of that of all."""
-    progress(number * end + time, count * end)

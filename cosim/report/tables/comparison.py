@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from itertools import product
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cosim.core.recorded.signals import DistinctWarnings, warning_texts
-from cosim.errors import quoted
+from cosim.core.recorded.signals import warning_texts
 from cosim.report.printable import print_notice
-from cosim.report.tables.console import Shown, new_table, print_json, print_table
+from cosim.report.tables.console import Shown, new_table
 
 if TYPE_CHECKING:
     from cosim.log.comparison.difference import LogDifference
     from cosim.log.comparison.event_difference import EventsDifference
-    from cosim.report.comparing import Comparison, EstimatorComparison, ReplaySweep, SweepValue
+    from cosim.report.comparing import Comparison, EstimatorComparison
 
 
 # --- logs ---
@@ -78,7 +76,7 @@ def _number(value: float | None) -> str:
 # --- several runs ---
 
 
-def _print_failures(failures: Iterable[tuple[str, str]]) -> None:
+def print_failures(failures: Iterable[tuple[str, str]]) -> None:
     """Print why some of several runs failed."""
     for name, text in failures:
         for line in text.splitlines():
@@ -105,7 +103,7 @@ def show_plants(comparison: Comparison) -> Shown:
     for label, recording in comparison.recordings.items():
         for text in warning_texts(recording.warnings):
             print_notice(f"warning: {label}: {text}")
-    _print_failures(failures)
+    print_failures(failures)
 
 
 def _plant_rows(comparison: Comparison) -> Iterator[tuple[str, ...]]:
@@ -153,46 +151,8 @@ def show_estimators(comparison: EstimatorComparison) -> Shown:
     yield new_table(title, columns, rows)
     yield "±: half width of the 95 % interval, where there is one"
     yield "time / rest: computing time of the identifier over that of all other components"
-    _print_failures(failures)
+    print_failures(failures)
 
 
 def _value(value: float, form: str) -> str:
     return "no value" if np.isnan(value) else format(value, form)
-
-
-def print_sweep(sweep: ReplaySweep, *, as_json: bool, quiet: bool) -> None:
-    """Print what the results of a sweep say, and why some replays failed."""
-    from cosim.report.comparing import ERROR, HALF_WIDTH, LARGEST_ERROR
-
-    if as_json:
-        print_json(sweep.to_dict())
-    elif not quiet:
-        suffixes = {HALF_WIDTH: " ± ", ERROR: ", error "}  # of a result, in its cell
-        hidden = {name + suffix for name, suffix in product(sweep.columns, suffixes)}
-        for name in sweep.columns:
-            if name.endswith(LARGEST_ERROR):
-                hidden.add(name)  # --json has it
-        columns = [name for name in sweep.columns if name not in hidden]
-        rows = []
-        for row in sweep.rows:
-            cells = ["failed"]
-            if not row.problem:
-                cells = [_cell(row.results, column, suffixes) for column in columns]
-            rows.append([*map(quoted, row.values.values()), *cells])
-        print_table(new_table(sweep.log, (*sweep.varied, *columns), rows))
-        warnings = [one for row in sweep.rows if row.summary for one in row.summary.warnings]
-        for text in warning_texts(DistinctWarnings(warnings)):
-            print_notice(f"warning: {text}")
-    _print_failures((f"row {i}", row.problem) for i, row in enumerate(sweep.rows, start=1))
-
-
-def _cell(results: Mapping[str, SweepValue], column: str, suffixes: Mapping[str, str]) -> str:
-    value = results.get(column, "")
-    text = "no value" if value is None else str(value)
-    if isinstance(value, float):
-        text = f"{value:.6g}"
-    for suffix, words in suffixes.items():
-        beside = results.get(f"{column}{suffix}")
-        if isinstance(beside, float):
-            text += f"{words}{beside:.2g}"
-    return text
