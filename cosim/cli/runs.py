@@ -287,7 +287,7 @@ def compare(given: Given) -> bool:
         if given.estimators:
             comparison = cosim.compare_estimators(
                 scenario,
-                estimators="all" if methods == ["all"] else methods,
+                estimators=methods,
                 swap={component: paths[0] for component, paths in given.swap.items()},
                 **options,
             )

@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from functools import cached_property, partial
-from itertools import chain, count
+from itertools import chain, count, product
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -85,6 +85,14 @@ def _path_of(recording: Log | Memory | None) -> str | None:
     return None
 
 
+def _truths(recordings: Mapping[str, RecordedRun]) -> dict[str, Any]:
+    """Return the estimates of runs with their truth, under the names of the first that has it."""
+    truths: dict[str, Any] = {}
+    for recording in recordings.values():
+        truths |= {key: true for key, true in truth_of(recording).items() if key not in truths}
+    return truths
+
+
 # --- plants ---
 
 
@@ -139,11 +147,7 @@ class Comparison:
     @cached_property
     def estimates(self) -> dict[str, Any]:
         """The estimates with their truth, in the order of the scenario."""
-        estimates: dict[str, Any] = {}
-        for recording in self.recordings.values():
-            for estimate, truth in truth_of(recording).items():
-                estimates.setdefault(estimate, truth)  # the names of the first plant that has it
-        return estimates
+        return _truths(self.recordings)
 
     @cached_property
     def summaries(self) -> dict[str, Summary]:
@@ -153,33 +157,29 @@ class Comparison:
     @cached_property
     def differences(self) -> list[EstimateDifference]:
         """The distance of every estimate from that of the first run, at their shared instants."""
-        reference, *others = self.recordings or [""]
-        differences: list[EstimateDifference] = []
-        for estimate in self.estimates:
-            for label in others:
-                first = self.recordings[reference]
-                other = self.recordings[label]
-                if estimate in first and estimate in other:
-                    _, values = difference(first, other, estimate)
-                    finite = np.isfinite(values)
-                    largest = np.abs(values).max(axis=0, where=finite, initial=-1.0).tolist()
-                    known = tuple(None if one < 0.0 else one for one in largest)
-                    differences.append(EstimateDifference(estimate, label, known))
+        differences = []
+        runs = list(self.recordings.items())
+        for estimate, (label, other) in product(self.estimates, runs[1:]):
+            _, first = runs[0]
+            if estimate in first and estimate in other:
+                _, values = difference(first, other, estimate)
+                sizes = np.abs(values).max(axis=0, where=np.isfinite(values), initial=-1.0).tolist()
+                largest = tuple(None if size < 0.0 else size for size in sizes)
+                differences.append(EstimateDifference(estimate, label, largest))
         return differences
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        plants = []
-        for outcome in self.outcomes:
-            summary = self.summaries.get(outcome.label)
-            plants.append(
-                {
-                    "plant": outcome.label,
-                    "error": outcome.error or None,
-                    "log": _path_of(outcome.recording),
-                    "summary": None if summary is None else summary.to_dict(),
-                }
-            )
+        summaries = {label: summary.to_dict() for label, summary in self.summaries.items()}
+        plants = [
+            {
+                "plant": one.label,
+                "error": one.error or None,
+                "log": _path_of(one.recording),
+                "summary": summaries.get(one.label),
+            }
+            for one in self.outcomes
+        ]
         return {
             "scenario": self.scenario,
             "component": self.component,
@@ -234,11 +234,9 @@ def compare(
     common = loaded.edit(set=of_others)  # a problem of all plants is raised once
     document = loaded.document.with_changes(changes)
     maps = _maps_by_path(component, paths, mapping_argument("map", map))
-    plants: list[tuple[Scenario | None, str]] = []
-    for path in paths:
-        swapped = document.with_swaps({component: path}, maps[path])
-        plants.append(attempt(partial(loaded.parse, swapped)))
-    if all(plant is None for plant, _ in plants):
+    swapped = [document.with_swaps({component: path}, maps[path]) for path in paths]
+    plants = [attempt(partial(loaded.parse, one)) for one in swapped]
+    if all(error for _, error in plants):
         raise UsageError("\n".join(dict.fromkeys(error for _, error in plants)))
     labels = [_label(path) for path in paths]
     if base:
@@ -410,9 +408,7 @@ class EstimatorResult:
         return {
             "method": self.method,
             "failure": self.failure or None,
-            "theta": _plain(self.theta),
-            "standard_error": _plain(self.standard_error),
-            "error": _plain(self.error),
+            **{key: _plain(vars(self)[key]) for key in ("theta", "standard_error", "error")},
             "time_ratio": self.time_ratio,
             "verdicts": [asdict(verdict) for verdict in self.verdicts],
             "log": _path_of(self.recording),
@@ -442,8 +438,7 @@ class EstimatorComparison:
     def estimates(self) -> dict[str, Any]:
         """theta with its truth, where there is one."""
         theta = f"{self.component}.theta"
-        truths = [truth_of(recording).get(theta) for recording in self.recordings.values()]
-        return next(({theta: truth} for truth in truths if truth is not None), {})
+        return {name: true for name, true in _truths(self.recordings).items() if name == theta}
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON; None where there is no value."""
@@ -519,19 +514,16 @@ def compare_estimators(
 
 def _methods(estimators: str | Sequence[str]) -> list[IdentificationMethod]:
     """Return the methods of these names."""
-    if estimators == ALL:
-        return list(METHODS)
-    place = option("estimators")
-    names = [estimators] if isinstance(estimators, str) else list(estimators)
-    for name in names:
-        if name not in METHODS:
-            suggestion = nearest(str(name), [*METHODS, ALL])
-            raise UsageError(f"{place}: no method {quoted(name)}; {suggestion}")
-        if names.count(name) > 1:
-            raise UsageError(f"{place}: {name} is given twice")
-    if not names:
-        raise UsageError(f"{place}: expected {ALL}, or some of: {tuple(METHODS)}; got none")
     known: dict[str, IdentificationMethod] = {method: method for method in METHODS}
+    names = [estimators] if isinstance(estimators, str) else list(estimators)
+    names = list(known) if names == [ALL] else list(dict.fromkeys(names))
+    place = option("estimators")
+    if not names:
+        raise UsageError(f"{place}: expected {ALL}, or some of: {tuple(known)}; got none")
+    for name in names:
+        if name not in known:
+            suggestion = nearest(str(name), [*known, ALL])
+            raise UsageError(f"{place}: no method {quoted(name)}; {suggestion}")
     return [known[name] for name in names]
 
 

@@ -299,18 +299,14 @@ def _extent(
     if found.extent:
         yield found.extent
     theta = f"{component}.theta"
-    if found.problem or about.method != OUTPUT_ERROR or not has_signal(recording, theta):
-        return  # no term has a parameter
-    rows = as_columns(recording[theta])
-    if len(rows) and np.isfinite(rows[-1]).all():
-        return
-    end = recording.end_ns / 1e9
-    cause = "no fit during the run led to one; the fit after the run did"
-    if end < about.start_time:
-        cause = f"the run ends at {end:g} s, before the identification start time"
-    elif all(parameter.value is None for parameter in found.parameters):
-        return  # the verdicts say why
-    yield f"{theta} itself has no value at the end: {cause}"
+    has_value = any(one.value is not None for one in found.parameters)
+    if about.method == OUTPUT_ERROR and has_value and has_signal(recording, theta):
+        rows = as_columns(recording[theta])
+        if not (len(rows) and np.isfinite(rows[-1]).all()):
+            yield (
+                f"{theta} itself has no value at the end: no fit during the run led to one; the "
+                "fit after the run did"
+            )
 
 
 def noise_text(found: record.IdentifierVerdicts) -> str:

@@ -196,25 +196,25 @@ def summarize(recording: RecordedRun) -> Summary:
         since = 0.0
     judged = chain.from_iterable(one.parameters for one in identifications)
     unknown = {one.name for one in judged if one.value is None}  # nothing in the data depends on it
-    signals: list[SignalError] = []
+    signals = []
     values: list[ValueOutcome] = []
     for estimate, true in truth.items():
         ports = named_ports(true)
         if ports:
-            signals.append(_signal_error(recording, estimate, ports, since))
-        else:
-            values += _value_outcomes(
-                recording, estimate, np.array(true, np.float64, ndmin=1).tolist(), unknown
+            signals.append(
+                _signal_error(recording, estimate, ports, since if since <= end else 0.0)
             )
+        else:
+            values += _value_outcomes(recording, estimate, np.atleast_1d(true).tolist(), unknown)
     changed_states: list[record.StateChange] = []
     for name, changes in record.recorded_state_changes(recording).items():
         changed_states += (replace(change, component=name) for change in changes)
     came_true = record.until_came_true(recording)
     substeps = record.recorded_substep_counts(recording)
-    window = record.recorded_window(recording)
+    start, _ = record.recorded_window(recording) or (record.recorded_start(recording), end)
     return Summary(
         scenario=run.get("scenario", ""),
-        start=record.recorded_start(recording) if window is None else window[0],
+        start=start,
         end=end,
         steps=recording.steps,
         status=recording.status,
