@@ -204,9 +204,8 @@ def replay(given: Given) -> bool:
     shown = {"as_json": given.json, "quiet": given.quiet}
     target = given.only("out force")
     if given.vary:
-        from cosim.report.tables.comparison import print_failures
-        from cosim.studies.show import show_sweep
-        from cosim.studies.sweeping import sweep_of
+        from cosim.report.comparing import print_failures
+        from cosim.studies.sweeping import show_sweep, sweep_of
 
         with show_progress(given.quiet or given.json) as progress, prints_to_stderr():
             sweep = sweep_of(replays, given.vary, progress=progress, **target)
@@ -263,8 +262,7 @@ def compare(given: Given) -> bool:
     With --swap the scenario runs once for each plant; with --estimators every method gets the same
     recorded data. Exit 1 if one of them fails.
     """
-    from cosim.report.comparing import EstimatorComparison
-    from cosim.report.tables.comparison import show_estimators, show_plants
+    from cosim.report.comparing import EstimatorComparison, show_estimators, show_plants
 
     methods = [name.strip() for name in ",".join(given.estimators or ()).split(",")]
     several = [component for component, paths in given.swap.items() if len(paths) > 1]

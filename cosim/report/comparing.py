@@ -24,12 +24,15 @@ from cosim.arguments import (
 from cosim.arrays import Vector, as_columns
 from cosim.core.port import named_ports, split_element
 from cosim.core.recorded.run import RecordedRun
+from cosim.core.recorded.signals import warning_texts
 from cosim.core.recorders import Memory
 from cosim.errors import CosimError, Interrupted, UsageError, flag, nearest, option, quoted
 from cosim.files import file_type
 from cosim.log import Log, open_log
-from cosim.report.recorded_rows import difference, stacked_rows_of
+from cosim.report.printable import print_notice
+from cosim.report.recorded_rows import difference, element_names, stacked_rows_of
 from cosim.report.summary import Summary, summarize
+from cosim.report.tables.console import Shown, new_table, number_text
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.document import component_in, short
 from cosim.scenario.document.swaps import (
@@ -76,6 +79,13 @@ def log_paths(
     for log in logs:
         check(log)
     return logs
+
+
+def print_failures(failures: Iterable[tuple[str, str]]) -> None:
+    """Print why some of several runs failed."""
+    for name, text in failures:
+        for line in text.splitlines():
+            print_notice(f"{name}: failed: {line}")
 
 
 def _path_of(recording: Log | Memory | None) -> str | None:
@@ -186,6 +196,50 @@ class Comparison:
             "plants": plants,
             "differences": [asdict(row) for row in self.differences],
         }
+
+
+def show_plants(comparison: Comparison) -> Shown:
+    """Show what a scenario estimates on several plants, and how far from the first plant's."""
+    yield comparison.to_dict()
+    apart: dict[tuple[str, str], float | None] = {}  # by estimate or its element, and plant
+    for one in comparison.differences:
+        known = [size for size in one.largest if size is not None]
+        names = element_names(one.estimate, len(one.largest))
+        sizes = {one.estimate: max(known, default=None)}
+        sizes |= zip(names, one.largest, strict=True)
+        apart |= {(name, one.label): size for name, size in sizes.items()}
+    rows: dict[str, list[tuple[str, ...]]] = {}  # by estimate
+    for label, summary in comparison.summaries.items():
+        found = [
+            (one.estimate, one.truth, "", f"{one.largest:.3g} for t >= {one.since:g} s")
+            for one in summary.signals
+        ]
+        found += [
+            (one.estimate, f"{one.truth:+g}", _value(one.value, "+.6f"), number_text(one.error))
+            for one in summary.values
+        ]
+        for estimate, truth, value, error in found:
+            distance = number_text(apart.get((estimate, label)))
+            rows.setdefault(estimate, []).append((estimate, truth, label, value, error, distance))
+    failures = [(one.label, one.error) for one in comparison.outcomes if one.error]
+    rows[""] = [("", "", label, "failed", text.splitlines()[0], "") for label, text in failures]
+    first = next(iter(comparison.recordings), "")
+    columns = ("estimate", "truth", "plant", "value", "error", f"from {first}")
+    title = f"{comparison.scenario}: {comparison.component}"
+    yield new_table(title, columns, chain.from_iterable(rows.values()))
+    if not comparison.estimates:
+        yield (
+            "no estimates to compare: the scenario has no [truth]; --out keeps the logs, and "
+            "'cosim diff' compares all their signals"
+        )
+    for label, recording in comparison.recordings.items():
+        for text in warning_texts(recording.warnings):
+            print_notice(f"warning: {label}: {text}")
+    print_failures(failures)
+
+
+def _value(value: float | None, form: str) -> str:
+    return "no value" if value is None or np.isnan(value) else format(value, form)
 
 
 def compare(
@@ -568,3 +622,28 @@ def _last(recording: Log | Memory, port: str) -> Vector | None:
     rows = as_columns(recording[port])
     last: Vector = rows[-1].copy() if len(rows) else np.full(rows.shape[1], np.nan)
     return last
+
+
+def show_estimators(comparison: EstimatorComparison) -> Shown:
+    """Show what several methods estimate from the same data."""
+    yield comparison.to_dict()
+    rows = []
+    for result in comparison.results:
+        if result.theta is None:
+            rows.append([result.method, "failed", result.failure.partition("\n")[0]])
+            continue
+        thetas = []
+        for value, half_width in zip(result.theta, result.half_width, strict=True):
+            width = "" if np.isnan(half_width) else f" ± {half_width:.2g}"
+            thetas.append(f"{_value(value, '+.6f')}{width}")
+        errors = [] if result.error is None else [_value(value, "+.2g") for value in result.error]
+        verdicts = [record.verdict for record in result.verdicts]
+        texts = [", ".join(texts) for texts in (thetas, errors, verdicts)]
+        texts.insert(2, number_text(result.time_ratio))
+        rows.append([result.method, *texts])
+    title = f"{comparison.scenario}: {comparison.component}"
+    columns = ("method", "theta", "error", "time / rest", "verdict")
+    yield new_table(title, columns, rows)
+    yield "±: half width of the 95 % interval, where there is one"
+    yield "time / rest: computing time of the identifier over that of all other components"
+    print_failures((one.method, one.failure) for one in comparison.results)

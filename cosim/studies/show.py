@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 
-from cosim.core.recorded.signals import DistinctWarnings, warning_texts
 from cosim.errors import UsageError, listing, option, quoted, shortened
 from cosim.report.printable import print_notice
-from cosim.report.summary import ERROR, HALF_WIDTH, LARGEST_ERROR
 from cosim.report.tables import console
 from cosim.report.tables.console import Shown
 from cosim.studies import sensitivity, statistics
@@ -24,7 +22,6 @@ if TYPE_CHECKING:
     from cosim.studies.search import Search
     from cosim.studies.study import Study
     from cosim.studies.studying import StudyEstimate
-    from cosim.studies.sweeping import ReplaySweep
     from cosim.studies.tuning_result import TuningResult
     from cosim.studies.verifying import StudyVerification
 
@@ -504,31 +501,6 @@ def show_estimate(name: str, estimate: StudyEstimate) -> Shown:
     if logs != 0:
         entries["kept logs"] = "unknown (as many as fail)" if logs is None else _bytes(logs)
     yield from _table(f"{name}: dry run, nothing was recorded", ("", ""), entries.items())
-
-
-def show_sweep(sweep: ReplaySweep) -> Shown:
-    """Show the results of replays; on stderr what they warned of."""
-    yield sweep.to_dict()
-    beside = {HALF_WIDTH: " ± ", ERROR: ", error "}  # of a result, in its cell
-    hidden = {name + suffix for name in sweep.columns for suffix in beside}
-    columns = [
-        name for name in sweep.columns if name not in hidden and not name.endswith(LARGEST_ERROR)
-    ]
-    rows = []
-    for row in sweep.rows:
-        cells = ["failed"] if row.problem else []
-        for name in () if row.problem else columns:
-            value = row.results.get(name, "")
-            text = "no value" if value is None else _number_text(value)
-            for suffix, words in beside.items():
-                other = row.results.get(f"{name}{suffix}")
-                text += "" if other is None else f"{words}{_number_text(other, 2)}"
-            cells.append(text)
-        rows.append([*map(quoted, row.values.values()), *cells])
-    yield console.new_table(sweep.log, (*sweep.varied, *columns), rows)
-    warnings = [one for row in sweep.rows if row.summary for one in row.summary.warnings]
-    for text in warning_texts(DistinctWarnings(warnings)):
-        print_notice(f"warning: {text}")
 
 
 # --- texts ---
