@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import numpy as np
+from rich.table import Table
 
 from cosim.arguments import (
     mapping_argument,
@@ -21,7 +22,7 @@ from cosim.arguments import (
     swap_argument,
     truth_argument,
 )
-from cosim.arrays import Vector, as_columns
+from cosim.arrays import Vector
 from cosim.core.port import named_ports, split_element
 from cosim.core.recorded.run import RecordedRun
 from cosim.core.recorded.signals import warning_texts
@@ -30,8 +31,15 @@ from cosim.errors import CosimError, Interrupted, UsageError, flag, nearest, opt
 from cosim.files import file_type
 from cosim.log import Log, open_log
 from cosim.report.printable import print_notice
-from cosim.report.recorded_rows import difference, element_names, stacked_rows_of
-from cosim.report.summary import Summary, summarize
+from cosim.report.recorded_rows import difference, element_names, last_value, stacked_rows_of
+from cosim.report.summary import (
+    ERROR,
+    HALF_WIDTH,
+    LARGEST_ERROR,
+    ResultValue,
+    Summary,
+    summarize,
+)
 from cosim.report.tables.console import Shown, new_table, number_text
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.document import component_in, short
@@ -79,6 +87,46 @@ def log_paths(
     for log in logs:
         check(log)
     return logs
+
+
+def results_table(
+    title: str,
+    heads: Sequence[str],
+    rows: Sequence[tuple[Sequence[str], Mapping[str, ResultValue] | None]],
+) -> Table:
+    """Return a table of the results of several runs.
+
+    Parameters
+    ----------
+    title : str
+    heads : sequence of str
+        Of what tells a run from the others.
+    rows : sequence of (texts, results)
+        That, and the results by name; half widths and errors stand behind what they are of. None:
+        the run failed.
+    """
+    names = dict.fromkeys(chain.from_iterable(results or () for _, results in rows))
+    beside = {name + suffix for name, suffix in product(names, (HALF_WIDTH, ERROR))}
+    columns = [name for name in names if name not in beside and not name.endswith(LARGEST_ERROR)]
+    cells = []
+    for texts, results in rows:
+        found = ["failed"]
+        if results is not None:
+            found = [_result_text(results, name) for name in columns]
+        cells.append([*texts, *found])
+    return new_table(title, (*heads, *columns), cells)
+
+
+def _result_text(results: Mapping[str, ResultValue], name: str) -> str:
+    value = results.get(name, "")
+    text = "no value" if value is None else str(value)
+    if isinstance(value, float):
+        text = f"{value:.6g}"
+    for suffix, words in ((HALF_WIDTH, " ± "), (ERROR, ", error ")):
+        other = results.get(f"{name}{suffix}")
+        if isinstance(other, float):
+            text += f"{words}{other:.2g}"
+    return text
 
 
 def print_failures(failures: Iterable[tuple[str, str]]) -> None:
@@ -457,6 +505,19 @@ class EstimatorResult:
             return np.full(len(self.theta), np.nan)
         return normal_two_sided(CONFIDENCE) * self.standard_error
 
+    @property
+    def results(self) -> dict[str, ResultValue]:
+        """What the method says, by name; empty where it failed."""
+        results: dict[str, ResultValue] = {}
+        if self.theta is None:
+            return results
+        parts = {"": self.theta, HALF_WIDTH: self.half_width, ERROR: self.error}
+        for suffix, values in parts.items():
+            for number, value in enumerate(_plain(values) or []):
+                results[f"theta[{number}]{suffix}"] = value
+        verdicts = ", ".join(one.verdict for one in self.verdicts)
+        return {**results, "time / rest": self.time_ratio, "verdict": verdicts}
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON; None where there is no value."""
         return {
@@ -595,10 +656,9 @@ def _identifier(scenario: Scenario) -> str:
 def _result(
     method: str, recording: Log | Memory, component: str, time_ratio: float | None
 ) -> EstimatorResult:
-    port = f"{component}.theta"
-    theta = _last(recording, port)
-    if theta is None:
-        theta = np.zeros(0)  # no term has a parameter
+    port, deviation = f"{component}.theta", f"{component}.standard_error"
+    # no term has a parameter where there is no theta
+    theta = last_value(recording, port) if port in recording else np.zeros(0)
     true = truth_of(recording).get(port)
     if true is not None and named_ports(true):
         _, rows = stacked_rows_of(recording, named_ports(true), like=port)
@@ -609,41 +669,18 @@ def _result(
         recording=recording,
         time_ratio=time_ratio,
         theta=theta,
-        standard_error=_last(recording, f"{component}.standard_error"),
+        standard_error=last_value(recording, deviation) if deviation in recording else None,
         error=None if true is None else theta - np.array(true, np.float64),
         verdicts=() if verdicts is None else verdicts.estimate,
     )
 
 
-def _last(recording: Log | Memory, port: str) -> Vector | None:
-    """Return the last row of a port; None: there is none."""
-    if port not in recording:
-        return None
-    rows = as_columns(recording[port])
-    last: Vector = rows[-1].copy() if len(rows) else np.full(rows.shape[1], np.nan)
-    return last
-
-
 def show_estimators(comparison: EstimatorComparison) -> Shown:
     """Show what several methods estimate from the same data."""
     yield comparison.to_dict()
-    rows = []
-    for result in comparison.results:
-        if result.theta is None:
-            rows.append([result.method, "failed", result.failure.partition("\n")[0]])
-            continue
-        thetas = []
-        for value, half_width in zip(result.theta, result.half_width, strict=True):
-            width = "" if np.isnan(half_width) else f" ± {half_width:.2g}"
-            thetas.append(f"{_value(value, '+.6f')}{width}")
-        errors = [] if result.error is None else [_value(value, "+.2g") for value in result.error]
-        verdicts = [record.verdict for record in result.verdicts]
-        texts = [", ".join(texts) for texts in (thetas, errors, verdicts)]
-        texts.insert(2, number_text(result.time_ratio))
-        rows.append([result.method, *texts])
     title = f"{comparison.scenario}: {comparison.component}"
-    columns = ("method", "theta", "error", "time / rest", "verdict")
-    yield new_table(title, columns, rows)
+    rows = [([one.method], None if one.failure else one.results) for one in comparison.results]
+    yield results_table(title, ["method"], rows)
     yield "±: half width of the 95 % interval, where there is one"
     yield "time / rest: computing time of the identifier over that of all other components"
     print_failures((one.method, one.failure) for one in comparison.results)

@@ -13,7 +13,7 @@ from cosim.arrays import Matrix, Vector, as_columns
 from cosim.core.recorded.partial import declared_channels, is_recorded_whole
 from cosim.core.recording import Recording
 from cosim.errors import LogError
-from cosim.report.recorded_rows import element_names, has_signal
+from cosim.report.recorded_rows import element_names, has_signal, last_value
 from cosim.scenario import record
 from cosim.scenario.kinds.identified_plant import OUTPUT_ERROR
 from cosim.theory.assessment.consistency import NOTHING_ELSE
@@ -300,13 +300,13 @@ def _extent(
         yield found.extent
     theta = f"{component}.theta"
     has_value = any(one.value is not None for one in found.parameters)
-    if about.method == OUTPUT_ERROR and has_value and has_signal(recording, theta):
-        rows = as_columns(recording[theta])
-        if not (len(rows) and np.isfinite(rows[-1]).all()):
-            yield (
-                f"{theta} itself has no value at the end: no fit during the run led to one; the "
-                "fit after the run did"
-            )
+    if about.method != OUTPUT_ERROR or not (has_value and has_signal(recording, theta)):
+        return
+    if not np.isfinite(last_value(recording, theta)).all():
+        yield (
+            f"{theta} itself has no value at the end: no fit during the run led to one; the fit "
+            "after the run did"
+        )
 
 
 def noise_text(found: record.IdentifierVerdicts) -> str:

@@ -26,8 +26,8 @@ from cosim.report.recorded_rows import (
     element_names,
     lag_of,
     last_row,
+    last_value,
     parts_beside_truth,
-    rows_of,
 )
 from cosim.scenario import record
 
@@ -297,8 +297,7 @@ def _value_outcomes(
     recording: Recording, estimate: str, truth: Sequence[float], unknown: Collection[str]
 ) -> Iterator[ValueOutcome]:
     """Yield the last values of an estimate; ``unknown`` have numbers that say nothing."""
-    rows = rows_of(recording, estimate)
-    last = rows[-1].tolist() if len(rows) else [math.nan] * len(truth)
+    last = last_value(recording, estimate).tolist()
     names = element_names(estimate, len(truth))
     for name, value, true in zip(names, last, truth, strict=True):
         if math.isnan(value) or name in unknown:

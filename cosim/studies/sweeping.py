@@ -17,18 +17,10 @@ from cosim.arguments import callable_argument, mapping_argument, setting_argumen
 from cosim.core.recorded.signals import DistinctWarnings, warning_texts
 from cosim.errors import UsageError, option, quoted
 from cosim.log import Log
-from cosim.report.comparing import attempt, log_paths
+from cosim.report.comparing import attempt, log_paths, results_table
 from cosim.report.printable import print_notice
-from cosim.report.summary import (
-    ERROR,
-    HALF_WIDTH,
-    LARGEST_ERROR,
-    ResultValue,
-    Summary,
-    results_of,
-    summarize,
-)
-from cosim.report.tables.console import Shown, new_table
+from cosim.report.summary import ResultValue, Summary, results_of, summarize
+from cosim.report.tables.console import Shown
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.document import short
 from cosim.scenario.document.problems import TableProblems
@@ -123,32 +115,14 @@ class ReplaySweep:
 def show_sweep(sweep: ReplaySweep) -> Shown:
     """Show the results of replays; on stderr what they warned of."""
     yield sweep.to_dict()
-    beside = {HALF_WIDTH: " ± ", ERROR: ", error "}  # of a result, in its cell
-    apart = {name + suffix for name in sweep.columns for suffix in beside}
-    apart.update(name for name in sweep.columns if name.endswith(LARGEST_ERROR))  # --json has it
-    columns = [name for name in sweep.columns if name not in apart]
     rows = []
     for row in sweep.rows:
-        cells = ["failed"]
-        if not row.problem:
-            cells = [_cell(row.results, name, beside) for name in columns]
-        rows.append([*map(quoted, row.values.values()), *cells])
-    yield new_table(sweep.log, (*sweep.varied, *columns), rows)
+        values = [quoted(value) for value in row.values.values()]
+        rows.append((values, None if row.problem else row.results))
+    yield results_table(sweep.log, sweep.varied, rows)
     warnings = [one for row in sweep.rows if row.summary for one in row.summary.warnings]
     for text in warning_texts(DistinctWarnings(warnings)):
         print_notice(f"warning: {text}")
-
-
-def _cell(results: Mapping[str, ResultValue], name: str, beside: Mapping[str, str]) -> str:
-    value = results.get(name, "")
-    text = "no value" if value is None else str(value)
-    if isinstance(value, float):
-        text = f"{value:.6g}"
-    for suffix, words in beside.items():
-        other = results.get(f"{name}{suffix}")
-        if isinstance(other, float):
-            text += f"{words}{other:.2g}"
-    return text
 
 
 def replay_sweep(
