@@ -31,16 +31,17 @@ from cosim.errors import CosimError, Interrupted, UsageError, flag, nearest, opt
 from cosim.files import file_type
 from cosim.log import Log, open_log
 from cosim.report.printable import print_notice
-from cosim.report.recorded_rows import difference, element_names, last_value, stacked_rows_of
+from cosim.report.recorded_rows import difference, last_value, stacked_rows_of
 from cosim.report.summary import (
     ERROR,
     HALF_WIDTH,
     LARGEST_ERROR,
     ResultValue,
     Summary,
+    results_of,
     summarize,
 )
-from cosim.report.tables.console import Shown, new_table, number_text
+from cosim.report.tables.console import Shown, new_table
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.document import component_in, short
 from cosim.scenario.document.swaps import (
@@ -247,34 +248,15 @@ class Comparison:
 
 
 def show_plants(comparison: Comparison) -> Shown:
-    """Show what a scenario estimates on several plants, and how far from the first plant's."""
+    """Show the results of several plants, and how far their estimates are from the first one's."""
     yield comparison.to_dict()
-    apart: dict[tuple[str, str], float | None] = {}  # by estimate or its element, and plant
+    first = next(iter(comparison.recordings), "")
+    results = {label: results_of(summary) for label, summary in comparison.summaries.items()}
     for one in comparison.differences:
         known = [size for size in one.largest if size is not None]
-        names = element_names(one.estimate, len(one.largest))
-        sizes = {one.estimate: max(known, default=None)}
-        sizes |= zip(names, one.largest, strict=True)
-        apart |= {(name, one.label): size for name, size in sizes.items()}
-    rows: dict[str, list[tuple[str, ...]]] = {}  # by estimate
-    for label, summary in comparison.summaries.items():
-        found = [
-            (one.estimate, one.truth, "", f"{one.largest:.3g} for t >= {one.since:g} s")
-            for one in summary.signals
-        ]
-        found += [
-            (one.estimate, f"{one.truth:+g}", _value(one.value, "+.6f"), number_text(one.error))
-            for one in summary.values
-        ]
-        for estimate, truth, value, error in found:
-            distance = number_text(apart.get((estimate, label)))
-            rows.setdefault(estimate, []).append((estimate, truth, label, value, error, distance))
-    failures = [(one.label, one.error) for one in comparison.outcomes if one.error]
-    rows[""] = [("", "", label, "failed", text.splitlines()[0], "") for label, text in failures]
-    first = next(iter(comparison.recordings), "")
-    columns = ("estimate", "truth", "plant", "value", "error", f"from {first}")
-    title = f"{comparison.scenario}: {comparison.component}"
-    yield new_table(title, columns, chain.from_iterable(rows.values()))
+        results[one.label][f"{one.estimate} from {first}"] = max(known, default=None)
+    rows = [([one.label], results.get(one.label)) for one in comparison.outcomes]
+    yield results_table(f"{comparison.scenario}: {comparison.component}", ["plant"], rows)
     if not comparison.estimates:
         yield (
             "no estimates to compare: the scenario has no [truth]; --out keeps the logs, and "
@@ -283,11 +265,7 @@ def show_plants(comparison: Comparison) -> Shown:
     for label, recording in comparison.recordings.items():
         for text in warning_texts(recording.warnings):
             print_notice(f"warning: {label}: {text}")
-    print_failures(failures)
-
-
-def _value(value: float | None, form: str) -> str:
-    return "no value" if value is None or np.isnan(value) else format(value, form)
+    print_failures((one.label, one.error) for one in comparison.outcomes)
 
 
 def compare(

@@ -9,7 +9,7 @@ import pytest
 import cosim
 from cosim.errors import CosimError, Interrupted, ScenarioError, UsageError
 from cosim.report import comparing
-from cosim.report.comparing import compare
+from cosim.report.comparing import compare, show_estimators, show_plants
 from cosim.report.plots.runs import plot_comparison
 from cosim.scenario.exporting import export_component
 from cosim.scenario.kinds.variants import METHODS
@@ -81,13 +81,9 @@ def test_a_failed_plant_does_not_lose_the_others(folder, tmp_path, call):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "entries", [{"plant.x_a": "[s[0],s[1]]"}, {"plant.x_a[1]": "s[1]", "plant.x_a[0]": "s[0]"}]
-)
-def test_a_map_is_for_those_that_have_its_names(folder, entries):
+def test_a_map_is_for_those_that_have_its_names(folder):
     """The renamed FMU needs it, the exported one keeps the scenario's names."""
-    others = {port: names for port, names in MAP.items() if port != "plant.x_a"}
-    found = compare_two(folder, map={**others, **entries})
+    found = compare_two(folder, map={**MAP, "plant.x_a": "[s[0],s[1]]"})
     assert errors(found) == ["", ""]
     plain, renamed_plant = found.recordings.values()
     assert np.array_equal(plain["plant.x_a"], renamed_plant["plant.x_a"])
@@ -95,10 +91,15 @@ def test_a_map_is_for_those_that_have_its_names(folder, entries):
 
 def test_a_map_that_does_not_fit_a_plant_is_its_failure(folder, monkeypatch):
     """It is never left out there, and the others go on; a name that none has is refused."""
-    plain, renamed_plant = errors(compare_two(folder, map={**MAP, "plant.y": "s[7]"}))
+    found = compare_two(folder, map={**MAP, "plant.y": "s[7]"})
+    plain, renamed_plant = errors(found)
     assert plain == ""
     assert "map['plant.y']" in renamed_plant
     assert "s[7]" in renamed_plant
+    _, table = show_plants(found)
+    names, values, *_ = (list(column.cells) for column in table.columns)
+    assert names == ["plant", "other"]
+    assert [value == "failed" for value in values] == [False, True]
     monkeypatch.setattr(NO_RUN, None)
     for port, names, wrong in (
         ("plant.u", "forse", "forse'.*'force'"),
@@ -158,6 +159,11 @@ def test_every_method_estimates_from_the_same_data(compared, tmp_path):
         np.testing.assert_array_equal(result.theta, theta)
         np.testing.assert_array_equal(result.error, theta - np.array([-0.1, -0.3]))
     plot_comparison(compared, tmp_path / "theta.svg")
+    _, table, *_ = show_estimators(compared)
+    cells = dict(zip(*(column.cells for column in table.columns[:2]), strict=True))
+    for result in compared.results:
+        value = f"{result.theta[0]:.6g}".replace("nan", "no value")
+        assert cells[result.method].startswith(value)
     drawn = (tmp_path / "theta.svg").read_text(encoding="utf-8")
     assert all(f">{label}<" in drawn for label in (*METHODS, "truth"))
 

@@ -9,7 +9,7 @@ import cosim
 from cosim.errors import Interrupted, UsageError
 from cosim.report.summary import results_of, summarize
 from cosim.scenario.running.replay import Replays
-from cosim.studies.sweeping import combinations
+from cosim.studies.sweeping import combinations, show_sweep
 from tests.scenario.field_recordings import BOTH, LOOP, field_log
 from tests.scenario.refusals import check_refused
 
@@ -132,6 +132,8 @@ def test_a_replay_that_fails_is_a_row_and_an_interruption_is_none(failing, monke
     assert [bool(row.problem) for row in sweep.rows] == [False, True, False]
     assert "'w.y' became inf at t = 0.1 s" in sweep.rows[1].problem
     assert sweep["w.y"] == [0.2, None, 0.4]
+    _, table = show_sweep(sweep)
+    assert [cell == "failed" for cell in table.columns[1].cells] == [False, True, False]
     assert not sweep.passed
 
     def interrupted(*_, **__):
