@@ -164,10 +164,9 @@ def test_a_recording_of_another_tool_is_replayed_with_varied_values(tmp_path):
     (tmp_path / "loop.toml").write_text(LOOP, encoding="utf-8")
     needed = {"scenario": tmp_path / "loop.toml", "map": BOTH}
     sweep = cosim.replay_sweep(path, vary={"model.time_constant": [0.1, 0.4]}, **needed)
-    for row in sweep.rows:
-        again = cosim.replay(path, set=row.values, **needed)
-        assert repr(row.summary) == repr(summarize(again))  # NaN is not equal to itself
-    assert len(set(sweep["model.y"])) == 2
+    ends = [cosim.replay(path, set=row.values, **needed)["model.y"][-1] for row in sweep.rows]
+    assert sweep["model.y"] == ends
+    assert len(set(ends)) == 2
     wrong = {"model.time_constant": [0.1, -1.0]}
     with pytest.raises(UsageError, match=r"model.time_constant = -1.0: .*components.model"):
         cosim.replay_sweep(path, vary=wrong, **needed)
