@@ -16,7 +16,7 @@ from cosim.core.recording import Recording
 from cosim.errors import CosimError, flag, listing, option, quoted
 from cosim.log import Log
 from cosim.report.certificate import StepCertificate, certificate_of
-from cosim.report.estimators import bad_verdicts, by_reason, value_text
+from cosim.report.estimators import bad_verdicts, value_text
 from cosim.report.printable import print_notice
 from cosim.report.recorded_rows import recorded_port
 from cosim.report.summary import Summary, span, summarize
@@ -325,35 +325,27 @@ def _certificate_tables(certificate: StepCertificate) -> list[Table]:
     finer = " and ".join(f"{step:g} s" for step in certificate.finer_steps)
     title = f"error of the communication step {certificate.step:g} s, from runs with {finer}"
     rows = []
-    equal = []
-    unknown = []
     for own in certificate.signals:
-        if own.is_bounded or (own.largest is not None and own.order is not None):
-            largest = f"at most {own.bound:.3g}" if own.is_bounded else f"{own.largest:.3g}"
-            row = (
-                own.signal,
-                largest if own.unit is None else f"{largest} {own.unit}",
-                "" if own.time is None else f"{own.time:g} s",
-                "" if own.last is None else f"{own.last:+.3g}",
-                "" if own.order is None else f"{own.order:.2f}",
-            )
-            rows.append(row)
-        elif own.largest is not None:
-            equal.append(own.signal)
-        if own.largest is None:
-            label = "upper bound" if own.is_bounded else "no estimate"
-            unknown.append((label, own.reason, own.signal))
-    below = []
-    if certificate.problem:
-        below.append(("no estimate", certificate.problem))
-    if equal:
-        below.append(("no error", f"{', '.join(equal)}: identical in all three runs"))
-    for (label, reason), signals in by_reason(unknown).items():
-        below.append((label, f"{', '.join(signals)}: {reason}"))
+        size, prefix = (own.bound, "at most ") if own.is_bounded else (own.largest, "")
+        remark = own.reason
+        if size is None:
+            remark = f"no estimate: {own.reason}"
+        elif own.order is None and not own.is_bounded:
+            remark = "identical in all three runs"
+        row = (
+            own.signal,
+            "" if size is None else f"{prefix}{size:.3g} {own.unit or ''}".rstrip(),
+            "" if own.time is None else f"{own.time:g} s",
+            "" if own.last is None else f"{own.last:+.3g}",
+            "" if own.order is None else f"{own.order:.2f}",
+            remark,
+        )
+        rows.append(row)
+    columns = ("signal", "largest", "at t", "at the end", "order", "remark")
+    below = [("no estimate", certificate.problem)]
     if not certificate.problem:
-        below += [(share.estimate, str(share)) for share in certificate.shares]
+        below = [(share.estimate, str(share)) for share in certificate.shares]
         below += [("note", note) for note in certificate.notes()]
-    columns = ("signal", "largest", "at t", "at the end", "order")
     tables = [
         new_table("search for the communication step", ("", ""), certificate.search()),
         new_table(title, columns, rows),
