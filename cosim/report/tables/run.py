@@ -23,7 +23,7 @@ from cosim.report.summary import Summary, span, summarize
 from cosim.report.tables.console import new_table, print_json, print_tables
 from cosim.scenario.building.coupling import gain_text
 from cosim.scenario.record import recorded_start, recorded_window
-from cosim.theory.documents import ParameterVerdict, Verdict
+from cosim.theory.documents import ParameterVerdict
 
 # what times or values are taken for: a wrong one is a wrong result, so that it is always said
 _TAKEN: Final = re.compile(r"\bunits?\b|\btimes are\b|\bsame time\b|\bstamps?\b")
@@ -114,9 +114,9 @@ def _run_tables(
 
 def _print_quietly(recording: RecordedRun) -> None:
     """Print what nobody who trusts the result may miss."""
-    for names, verdict, reason in bad_verdicts(recording):
-        if verdict:
-            print_notice(f"warning: {names}: {verdict}: {reason}")
+    for what, text in bad_verdicts(recording):
+        if what:
+            print_notice(f"warning: {text}")
     taken = [warning for warning in recording.warnings if _TAKEN.search(warning.text)]
     for text in warning_texts(taken):
         print_notice(f"warning: {text}")
@@ -130,12 +130,10 @@ def failure_lines(run: RecordedRun, fail_on: Collection[str], *, quiet: bool) ->
     lines = []
     asked = [name for name in ("no-estimate", "inconsistent") if name in fail_on]
     if asked:
-        for names, verdict, reason in bad_verdicts(run):
-            name = "inconsistent" if verdict == Verdict.INCONSISTENT else "no-estimate"
-            if not verdict:
-                name = asked[0]
+        for what, text in bad_verdicts(run):
+            name = what or asked[0]
             if name in asked:
-                lines.append(f"{option('fail-on', name)}: {names}: {verdict or reason}")
+                lines.append(f"{option('fail-on', name)}: {text}")
     if "warning" in fail_on and run.warnings:
         texts = warning_texts(run.warnings) if quiet else [f"{len(run.warnings)} in all"]
         lines += [f"{option('fail-on', 'warning')}: {text}" for text in texts]
