@@ -53,9 +53,9 @@ from cosim.scenario.document.swaps import (
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.variants import METHODS, IdentificationMethod, foreign_keys
 from cosim.scenario.record import recorded_identification, truth_of
-from cosim.scenario.recordings.recording import check_target
+from cosim.scenario.recordings.recording import Target, check_target
 from cosim.scenario.running.execution import load, run
-from cosim.scenario.running.replay import replay
+from cosim.scenario.running.replay import replays_of
 from cosim.temporary import TemporaryFolder
 from cosim.theory.documents import ParameterVerdict
 from cosim.theory.quantiles import CONFIDENCE, normal_two_sided
@@ -586,17 +586,17 @@ def compare_estimators(
         if path is None:
             path = resources.enter_context(TemporaryFolder("compare")) / f"{edited.name}.mcap"
         times: dict[str, float] = {}
-        log = run(edited, out=path, force=force, profile=times)
-        assert isinstance(log, Log)
+        run(edited, out=path, force=force, profile=times)
+        replays = replays_of(path)
         others = sum(times.get(name, 0.0) for name in edited.specs if name != component)
         for method, target in zip(methods, targets[1:], strict=True):
             foreign = foreign_keys(METHODS, method)
             own = {key: value for key, value in table.items() if key not in foreign}
-            changes = {component: {**own, "method": method}}
+            values = {component: {**own, "method": method}}
             times = {}
-            again, failure = attempt(
-                partial(replay, log, set=changes, out=target, force=force, profile=times)
-            )
+            to = Target(target, force)
+            make = partial(replays.record, values, to, progress=None, profile=times)
+            again, failure = attempt(make)
             if again is None:
                 results.append(EstimatorResult(method=method, failure=failure))
             else:

@@ -13,6 +13,7 @@ from cosim.report.comparing import compare, show_estimators, show_plants
 from cosim.report.plots.runs import plot_comparison
 from cosim.scenario.exporting import export_component
 from cosim.scenario.kinds.variants import METHODS
+from cosim.scenario.running.replay import Replays
 from tests.scenario.refusals import check_refused
 from tests.scenario.swapping.renamed import MAP, renamed
 
@@ -131,7 +132,7 @@ def test_an_interruption_is_no_outcome(folder, monkeypatch):
     def interrupted(*_, **__):
         raise Interrupted("Ctrl-C")
 
-    monkeypatch.setattr(comparing, "replay", interrupted)
+    monkeypatch.setattr(Replays, "record", interrupted)
     with pytest.raises(Interrupted):
         cosim.compare_estimators("academic", estimators="drem", set={"scenario.stop": 0.1})
     monkeypatch.setattr(comparing, "run", interrupted)
