@@ -48,11 +48,6 @@ def new_table(title: str, columns: Sequence[str], rows: Iterable[Iterable[str]] 
     return table
 
 
-def number_text(value: float | None) -> str:
-    """Return a number with three digits; empty: there is none."""
-    return "" if value is None else f"{value:.3g}"
-
-
 def print_table(table: Table) -> None:
     """Print a table.
 

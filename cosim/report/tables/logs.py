@@ -13,7 +13,7 @@ from cosim.log import Log
 from cosim.log.contents.result import PARTIAL, PARTIAL_STATUS
 from cosim.log.mcap_file.rotation import part_paths
 from cosim.report.printable import print_notice, print_text
-from cosim.report.tables.console import Shown, new_table, number_text, print_json, print_table
+from cosim.report.tables.console import Shown, new_table, print_json, print_table
 from cosim.scenario.record import component_record
 
 if TYPE_CHECKING:
@@ -145,7 +145,8 @@ def show_difference(difference: LogDifference) -> Shown:
             time = row.first.time_ns / 1e9
             outside = f"{row.first.signal} at {time} s: {', '.join(row.first.texts)}"
         numbers = (row.tolerance, row.largest, row.scale, row.ratio)
-        rows.append([row.signal, row.status, *map(number_text, numbers), outside])
+        texts = ["" if number is None else f"{number:.3g}" for number in numbers]
+        rows.append([row.signal, row.status, *texts, outside])
     if not difference.tol:  # of single signals
         for cells in (columns, *rows):
             del cells[2]
