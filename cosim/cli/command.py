@@ -110,15 +110,8 @@ def read_edits(texts: list[str], name: str = "set") -> dict[str, Any]:
     return _each(dict(read_pairs(texts, name)), name, parse_value)
 
 
-def read_sweep(texts: list[str], name: str) -> dict[str, list[Any]]:
-    """Read KEY=V1,V2,...; the values are TOML where they can be."""
-    from cosim.scenario.document.document import parse_values
-
-    return _each(read_unique_pairs(texts, name), name, parse_values)
-
-
 def read_variations(texts: list[str], name: str) -> dict[str, Any]:
-    """Read grids, distributions and plants of a study, by key."""
+    """Read values, grids, distributions and plants, by key."""
     from cosim.studies.variations import read_vary_option
 
     return _each(read_unique_pairs(texts, name), name, read_vary_option)
@@ -237,7 +230,6 @@ KINDS: Final = {
     "size": OptionKind(str, read_size),
     "step": OptionKind(str, read_step),
     "swaps": OptionKind(list[str], read_unique_pairs, completion.complete_swap),
-    "sweep": OptionKind(list[str], read_sweep),
     "values": OptionKind(list[str], read_edits),
     "variations": OptionKind(list[str], read_variations, completion.complete_setting),
 }

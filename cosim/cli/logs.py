@@ -208,7 +208,7 @@ def diff(given: Given) -> bool:
 
     Exit 1 if a signal is outside the tolerance.
     """
-    from cosim.report.tables.comparison import show_difference
+    from cosim.report.tables.logs import show_difference
 
     check_plot(given.plot)
     logs = cosim.open_log(given.a), cosim.open_log(given.b)

@@ -1,4 +1,4 @@
-"""`cosim identify`: its table, its JSON, its pictures and what it refuses."""
+"""`cosim identify`: its table, its JSON and what it refuses."""
 
 from __future__ import annotations
 
@@ -11,9 +11,7 @@ import pytest
 import cosim
 from cosim.report.estimators import IF_WRONG
 from cosim.report.summary import summarize
-from cosim.report.tables.identification import report_identification
 from cosim.scenario.record import IDENTIFICATION
-from cosim.scenario.running.identifying import identifier_record, identify_records
 
 FAST = {"scenario.step": 0.02, "observer.filter_rate": 50.0}
 
@@ -54,11 +52,6 @@ def rows(output):
     """Return the cells of a table in a pipe by the first one."""
     lines = [line.split("\t") for line in output.splitlines()]
     return {line[0]: line[1:] for line in lines if len(line) > 1}
-
-
-def identified(path, **options):
-    """Return what is identified from one log."""
-    return identify_records([identifier_record(cosim.open_log(path))], **options)
 
 
 # --- tables ---
@@ -176,16 +169,15 @@ def test_options_reach_the_fit(identify):
 
 
 @pytest.mark.slow
-def test_an_irregular_part_has_guaranteed_intervals(logs):
+def test_an_irregular_part_has_guaranteed_intervals(identify):
     """They contain the truth; the cost is said, and where the first order does not hold."""
-    report = report_identification(identified(logs["first"]), irregular=2e-3)
-    part = report.irregular
-    for effect, true in zip(part.effects, (-0.1, -0.3), strict=True):
-        assert effect.lower <= true <= effect.upper
-        assert effect.holds
-        assert effect.upper - effect.lower < 3.0 * effect.first_order
-    assert report.seconds > 0.0
-    assert part.confidence == 0.999
+    part = identify("--irregular", "2e-3", "--json")[1]["irregular"]
+    for effect, true in zip(part["effects"], (-0.1, -0.3), strict=True):
+        assert effect["lower"] <= true <= effect["upper"]
+        assert effect["holds"]
+        assert effect["upper"] - effect["lower"] < 3.0 * effect["first_order"]
+    assert part["seconds"] > 0.0
+    assert part["confidence"] == 0.999
 
 
 def test_an_exact_residual_is_within_the_errors_that_are_named(tmp_path, call):
@@ -224,11 +216,3 @@ def test_wrong_use_is_refused(logs, call, tmp_path, subtests):
             code, output, errors = call("identify", logs["first"], *options)
             assert (code, output) == (2, "")
             assert re.search(text, errors)
-
-
-# --- pictures ---
-
-
-def texts(path):
-    """Return the texts of an SVG."""
-    return re.findall(r"<text[^>]*>([^<]*)</text>", path.read_text("utf-8"))

@@ -1,4 +1,4 @@
-"""What is said of logs: how one is verified, what of it was recovered, in which files it is."""
+"""What is said of logs: how one is verified, recovered, in which files it is, how two differ."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ from cosim.report.tables.console import Shown, new_table, print_json, print_tabl
 from cosim.scenario.record import component_record
 
 if TYPE_CHECKING:
+    from cosim.log.comparison.difference import LogDifference
+    from cosim.log.comparison.event_difference import EventsDifference
     from cosim.log.editing.recovering import RecoveredLog
     from cosim.report.verification import Verification
 
@@ -130,3 +132,53 @@ def print_rotated(last: Log, *, wall: Mapping[str, float], as_json: bool, quiet:
             "each file has a part of the run; 'cosim merge' joins them, and 'cosim replay' of the "
             "last one replays the run"
         )
+
+
+def show_difference(difference: LogDifference) -> Shown:
+    """Show how far two logs are apart."""
+    yield difference.to_dict()
+    columns = ["signal", "", "tolerance", "max |a - b|", "max |a|", "ratio", "first outside"]
+    rows = []
+    for row in difference.rows:
+        outside = ""
+        if row.first is not None:
+            time = row.first.time_ns / 1e9
+            outside = f"{row.first.signal} at {time} s: {', '.join(row.first.texts)}"
+        numbers = (row.tolerance, row.largest, row.scale, row.ratio)
+        texts = ["" if number is None else f"{number:.3g}" for number in numbers]
+        rows.append([row.signal, row.status, *texts, outside])
+    if not difference.tol:  # of single signals
+        for cells in (columns, *rows):
+            del cells[2]
+    yield new_table("", columns, rows)
+    for row in difference.rows:
+        in_a, in_b, both = row.rows
+        if row.status in ("equal", "within", "other times") and both < max(in_a, in_b):
+            yield (
+                f"note: compared only where both logs have rows: {row.signal} at {both} instants "
+                f"({in_a} in a, {in_b} in b)"
+            )
+            break
+    if any(difference.events.events):
+        yield _events_text(difference.events)
+    if any(row.largest > 0.0 and row.signal.endswith(".delta") for row in difference.rows):
+        yield (
+            "note: a reconstructed disturbance amplifies rounding errors of y by filter_rate; "
+            "give it its own --tol"
+        )
+
+
+def _events_text(difference: EventsDifference) -> str:
+    """Return how the jumps compare, in words."""
+    in_a, in_b = difference.events
+    text = f"events: {in_a} in a, {in_b} in b: "
+    first = difference.first
+    if first is None:
+        return f"{text}{'equal' if difference.equal else 'within the tolerance'}"
+    jumps = []
+    for jump in (first.a, first.b):
+        jumps.append("no jump" if jump is None else f"{jump.cause} {jump.value!r}")
+    return (
+        f"{text}{difference.outside} of {difference.jumps} jumps differ; first "
+        f"{first.signal} at {first.time_ns / 1e9} s: {', '.join(jumps)}"
+    )
