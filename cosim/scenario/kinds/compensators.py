@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from typing import ClassVar, Final, Literal, TypeAlias
 
 import numpy as np
@@ -51,7 +52,7 @@ from cosim.theory.compensation.state_feedback import (
     weight_matrix,
 )
 from cosim.theory.compensation.transmission_zeros import check_zeros
-from cosim.theory.disturbances.families import Family
+from cosim.theory.disturbances.families import Family, Polynomial
 from cosim.theory.disturbances.linear_family import LinearFamily
 from cosim.theory.observers.observer import StateSpace, delta_rows, realize, realize_averages
 from cosim.theory.plants.descriptor import ReducedSystem, UserCoordinates, state_maps
@@ -379,28 +380,47 @@ class CompensatorDesign:
     def check_theta(self) -> None:
         """Check that identifiers estimate the theta that is taken from them, of constant alphas.
 
-        A linear family may be a term of any other in another form, its alpha included.
+        A linear family may be a term of any other in another form, its alpha included, and a
+        parameter may be that of a family which differs in the others: both may be meant, and are
+        warned of. So is a term of the identifier that the internal model has not.
         """
         taken: list[_Parameter] = []
+        identified: dict[str, list[ClassTerm]] = {}
         for source in self._context.sources(Port(self._name, "theta")):
             name = source.component
             if source.signal != "theta" or not isinstance(self._context.spec(name), IdentifierKind):
                 return
-            taken += _parameters(self._identified_terms(name), source.element)
+            terms = identified[name] = identified.get(name) or self._identified_terms(name)
+            taken += _parameters(terms, source.element)
         own = _parameters(self._terms)
         if len(own) != len(taken):
             return  # sizes that differ are refused with the connections
         for j, ((target, name), (origin, estimated)) in enumerate(zip(own, taken, strict=True)):
             varies = _varies(origin.alpha, self._context.clock)
-            if isinstance(target.family, LinearFamily) or (name == estimated and not varies):
+            if (target.family, name) == (origin.family, estimated) and not varies:
                 continue
             alpha = f", whose alpha = {origin.alpha.text!r} varies" if varies else ""
-            raise UsageError(
-                f"terms: theta[{j}] is {estimated!r} of {origin.text}{alpha}, and is taken as "
-                f"{name!r} of {target.text}, of a constant alpha; expected the terms of the "
-                'identifier (the default), or a term of family = "linear" that describes a family '
-                "with its alpha, or internal_model = false with feedforward = true"
+            what = (
+                f"theta[{j}] is {estimated!r} of {origin.text}{alpha}, and is taken as {name!r} of"
             )
+            if not isinstance(target.family, LinearFamily) and (name != estimated or varies):
+                raise UsageError(
+                    f"terms: {what} {target.text}, of a constant alpha; expected the terms of the "
+                    'identifier (the default), or a term of family = "linear" that describes a '
+                    "family with its alpha, or internal_model = false with feedforward = true"
+                )
+            self._context.warn(
+                self._name, f"{what} {target.text}; the internal model has to make the same signals"
+            )
+        used = {term for term, _ in taken}
+        for term in chain.from_iterable(identified.values()):
+            is_made = any(_includes(own.family, term.family) for own in self._terms)
+            if term not in used and not (is_made and not _varies(term.alpha, self._context.clock)):
+                self._context.warn(
+                    self._name,
+                    f"{term.text} is not in the internal model, which does not reject what that "
+                    "term makes",
+                )
 
 
 def _gain_of_x_a(K: Matrix, coordinates: UserCoordinates) -> Matrix:
@@ -460,6 +480,13 @@ def _parameters(terms: Sequence[ClassTerm], element: ElementIndex = None) -> lis
     if isinstance(element, int):
         return parameters[element : element + 1]
     return parameters if element is None else parameters[element.start : element.stop]
+
+
+def _includes(family: Family, other: Family) -> bool:
+    """Return whether a family has all signals of another one, for the same theta."""
+    if isinstance(family, Polynomial) and isinstance(other, Polynomial):
+        return family.degree >= other.degree
+    return family == other
 
 
 def _varies(alpha: Alpha, clock: Clock) -> bool:

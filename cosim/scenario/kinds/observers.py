@@ -218,6 +218,13 @@ class UnknownInputObserverKind(
             context.warn(name, model.reduced.inaccuracy)
         if self.relinearize:
             return self._relinearized(name, context)
+        useless = [key for key in ("filter_rate", "q0") if getattr(self, key) is not None]
+        if useless and isinstance(reconstruction, DirectReconstruction):
+            context.warn(
+                name,
+                f"{' and '.join(useless)}: without effect, as delta follows from y directly, "
+                "without a derivative that is to be filtered; leave it out",
+            )
         return self._fixed(name, context)
 
     def _fixed(self, name: str, context: BuildContext) -> Linear | Windowed | Smoothed:

@@ -1,5 +1,6 @@
 """The compensator in a scenario: what it rejects, what it refuses, what it says."""
 
+import re
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -398,16 +399,12 @@ def identified_loop(identified, own, theta=""):
     ("identified", "own", "theta"),
     [
         (f"{SINE}, {CONSTANT}", "", ""),
-        (f"{SINE}, {CONSTANT}", f"terms = [{SINE}]\n", "[0]"),
         (f"{CONSTANT}, {SINE}", f'terms = [{SINE}, {{ family = "ramp" }}]\n', ""),
         (LARGER, f"terms = [{SINE}, {CONSTANT}]\n", ""),
-        (f"{DAMPED}, {CONSTANT}", f"terms = [{SINE}, {CONSTANT}]\n", "[1]"),
-        (f"{SINE}, {CONSTANT}", f"terms = [{ROTATING}, {CONSTANT}]\n", ""),
-        (VARYING, f"terms = [{ROTATING}]\n", ""),
     ],
 )
 def test_a_theta_of_the_same_parameters_is_taken(identified, own, theta):
-    """In any order, of a part, an alpha of another size; as another form of a term where it can."""
+    """In any order, more polynomials, a constant alpha of another size."""
     assert warnings(identified_loop(identified, own, theta)) == []
 
 
@@ -427,3 +424,17 @@ def test_a_theta_of_something_else_is_refused():
         warnings(identified_loop(identified, own, theta))
 
     check_refused(OF_SOMETHING_ELSE, refuse)
+
+
+@pytest.mark.parametrize(
+    ("identified", "own", "theta", "message"),
+    [
+        (f"{DAMPED}, {CONSTANT}", f"terms = [{SINE}, {CONSTANT}]\n", "[1]", "is taken as 'rate'"),
+        (f"{SINE}, {CONSTANT}", f"terms = [{ROTATING}, {CONSTANT}]\n", "", "taken as 'theta_1'"),
+        (f"{SINE}, {CONSTANT}", OWN, "", r"terms\[1\] .*'identifier' is not in the internal model"),
+    ],
+)
+def test_a_doubtful_theta_is_warned_of(identified, own, theta, message):
+    """The rate of a damped sine as that of a sine, another form of a term, a term left out."""
+    (told,) = warnings(identified_loop(identified, own, theta))
+    assert re.search(message, told)

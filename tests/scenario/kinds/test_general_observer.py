@@ -146,6 +146,8 @@ def test_a_filter_of_no_derivative_is_not_needed(tmp_path):
     useless = {"observer.filter_rate": 100.0, "observer.q0": [0.0]}
     same = cosim.run(path, set={"scenario.stop": 1.0, **useless})
     np.testing.assert_array_equal(same["observer.delta"], log["observer.delta"][: len(same["u.y"])])
+    ((_, warning),) = recorded_warnings(same)
+    assert warning.startswith("filter_rate and q0: without effect, as delta follows from y direct")
 
 
 CALM = GENERAL.replace("disturbances = [0]", "")
