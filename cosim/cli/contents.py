@@ -33,7 +33,7 @@ def info(given: Given) -> None:
 
     Runs no code of FMUs or user classes.
     """
-    from cosim.report.schedule import plot_schedule, schedule_of, show_schedule
+    from cosim.report.schedule import describe_schedule, plot_schedule, show_schedule
 
     if not given.graph:
         content = _describe(given.source)
@@ -45,7 +45,7 @@ def info(given: Given) -> None:
     if type_name in ("log", "FMU", "table"):
         raise UsageError(f"--graph {given.source}: expected a scenario, got a {type_name}")
     check_plot(given.out)
-    schedule = schedule_of(given.source)
+    schedule = describe_schedule(given.source)
     given.print_shown(show_schedule(schedule))
     if given.out is not None:
         plot_schedule(schedule, given.out)
