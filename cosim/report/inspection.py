@@ -248,7 +248,7 @@ def describe_recording(path: str) -> Section:
         for topic in topics
         for name, type_name in topic.fields.items()
     ]
-    content = {"recording": about, "topics": list(map(_topic_row, topics)), "fields": fields}
+    content = {"recording": about, "topics": list(map(_topic_row, topics)), "fields": []}
     content |= _limited("fields", fields, MOST_FIELDS)
     problems = {topic.topic: topic.problem for topic in topics if topic.problem}
     return {**content, **_unread("topic", problems)}

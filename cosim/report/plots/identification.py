@@ -26,7 +26,7 @@ from cosim.theory.assessment.spectrum import whiteness_spectrum
 from cosim.theory.disturbed_plant import counted_values
 from cosim.theory.documents import Verdict
 
-_THIN: Final[Style] = {"linewidth": 0.5}  # a line of noise
+_THIN: Final = 0.5  # width of a line of noise [points]
 _TITLE: Final[Style] = {"fontsize": "medium"}
 _PANELS: Final = 6  # for a log, in two columns
 
@@ -72,7 +72,9 @@ def _draw_residual(
     curves = [
         Curve(f"residual of {name}", unit, record.data.t, column) for name, unit, column in columns
     ]
-    draw_curves(panel, curves, [_THIN] * len(curves))
+    draw_curves(panel, curves)
+    for line in panel.lines:
+        line.set_linewidth(_THIN)
     panel.ticklabel_format(axis="y", scilimits=SCIENTIFIC)
     panel.set_title("residual", **_TITLE)
 

@@ -36,9 +36,9 @@ _NO_ROOM: Final = "constrained_layout not applied"  # a warning of matplotlib
 _TEXT_AS_TEXT: Final = {"svg.fonttype": "none", "pdf.fonttype": 42}
 _MOST_NAMES: Final = 24  # in the legend of a panel
 _NAMES_IN_COLUMN: Final = 8  # of it, at the standard height of a panel
-_LETTER: Final = 0.2  # cm, the mean width of one in a label
-_TITLE_LETTER: Final = 0.24
-_AXES: Final = 0.85  # of the part of a picture that a panel has
+_MARGIN: Final = 0.97  # of the room of a text, that is used
+_ROOMY: Final = 0.5  # of the part of a picture that a panel has: its axes have more mostly
+_LETTER: Final = 0.22  # cm, the mean width of one in a legend
 _HANDLE: Final = 1.5  # cm of an entry of a legend beside its text
 _MOST_COLUMNS: Final = 6  # of a legend
 
@@ -188,16 +188,16 @@ class Picture:
 
         shown_title = title if self._options.title is None else self._options.title
         if shown_title:
-            self._figure.suptitle(broken(shown_title, int(self._size[0] / _TITLE_LETTER)))
+            _fit(self._figure.suptitle(shown_title), self._figure.bbox.width)
         if self._shares_time:
             for panel in self.panels[-self._columns :]:
                 panel.set_xlabel("t [s]")
                 panel.tick_params(labelbottom=True)  # also above an empty place
             self.panels[0].set_xlim(self._options.start, self._options.stop)
-        self._fit_axes()
         picture = BytesIO()  # a file that is there stays whole if this is interrupted
         try:
             with rc_context(_TEXT_AS_TEXT), collected_warnings(_NO_ROOM) as problems:
+                self._fit_axes()
                 self._figure.savefig(picture, format=_format(out), dpi=_DOTS_PER_INCH)
             if problems:
                 width, height = self._size
@@ -216,12 +216,20 @@ class Picture:
         """Break long names at the axes; write numbers between powers of ten as short as can be."""
         from matplotlib.ticker import LogFormatter
 
-        room = _AXES * self._size / (self._columns, self._rows) / _LETTER
-        for panel in self._figure.axes:
-            for axis, count in zip((panel.xaxis, panel.yaxis), room, strict=True):
-                axis.set_label_text(broken(axis.label.get_text(), int(count)))
-                if axis.get_scale() == "log":
-                    axis.set_minor_formatter(LogFormatter())
+        share = _ROOMY * self._figure.bbox.size / (self._columns, self._rows)
+        axes = [axis for panel in self._figure.axes for axis in (panel.xaxis, panel.yaxis)]
+        labels = [axis.label.get_text() for axis in axes]
+        for is_drawn in (False, True):  # how long axes and numbers are is known only then
+            for axis, text in zip(axes, labels, strict=True):
+                upright = int(axis.axis_name == "y")
+                length = axis.axes.get_window_extent().size[upright] if is_drawn else 0.0
+                axis.label.set_text(text)
+                _fit(axis.label, max(length, share[upright]), is_upright=bool(upright))
+            if not is_drawn:
+                self._figure.draw_without_rendering()
+        for axis in axes:
+            if axis.get_scale() == "log":
+                axis.set_minor_formatter(LogFormatter())
 
 
 def show_legend(panel: Any) -> None:
@@ -266,6 +274,20 @@ def broken(text: str, count: int) -> str:
     wrapper = _NameWrapper(max(count, 1))
     lines = [part for line in text.split("\n") for part in wrapper.wrap(line) or [""]]
     return "\n".join(map(str.rstrip, lines))
+
+
+def _fit(artist: Any, room: float, *, is_upright: bool = False) -> None:
+    """Break the text of an artist into lines that are not longer than ``room`` [dots]."""
+    text = artist.get_text()
+    count = len(text)
+    while count > 1:
+        extent = artist.get_window_extent()
+        length = extent.height if is_upright else extent.width
+        if length <= room:
+            return
+        longest = max(map(len, artist.get_text().split("\n")))
+        count = max(min(int(_MARGIN * longest * room / length), count - 1), 1)
+        artist.set_text(broken(text, count))
 
 
 def _format(out: Path) -> str:

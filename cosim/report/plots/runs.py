@@ -5,9 +5,9 @@ Each element of a signal is a curve, with name, unit and band; a panel shows som
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, cycle, repeat
+from itertools import chain, cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -24,7 +24,6 @@ from cosim.report.plots.picture import (
     DASHES,
     LARGEST_DRAWN,
     STANDARD,
-    WIDTH,
     Picture,
     PictureOptions,
     Style,
@@ -42,7 +41,7 @@ from cosim.report.recorded_rows import (
 )
 from cosim.scenario.record import run_metadata, truth_of
 from cosim.theory.quantiles import CONFIDENCE, normal_two_sided
-from cosim.units import Unit, conversion, units_text, with_unit
+from cosim.units import Unit, conversion
 
 if TYPE_CHECKING:
     from cosim.report.comparing import Comparison, EstimatorComparison
@@ -50,7 +49,7 @@ if TYPE_CHECKING:
 MOST_OUTPUTS: Final = 12  # of a run without truth that a picture shows
 FAR_BEYOND: Final = 10.0  # times how far most curves of a panel reach: it is not for these
 _LIMIT: Final[Style] = {"color": "0.4", "linewidth": 0.9}
-_WIDE: Final[Style] = {"linewidth": 2.0 * WIDTH}  # stays visible under another
+_WIDEST, _THINNEST = 2.6, 1.0  # lines of the first and the last of several runs [points]
 TRUTH: Final[Style] = {"color": "0.75", "linewidth": 3.0}
 ZERO: Final[Style] = {"color": "0.75", "linewidth": 1.0}
 SCIENTIFIC: Final = (-2, 3)  # powers of ten of numbers written in full, of errors
@@ -240,11 +239,19 @@ def error_curves(recording: Recording, estimate: str) -> list[Curve]:
 # --- what a panel shows ---
 
 
-def draw_curves(panel: Any, curves: Sequence[Curve], styles: Iterable[Style] = ()) -> None:
-    """Draw curves into a panel, with their names and units; ``styles`` are those of the first.
+def draw_curves(panel: Any, curves: Sequence[Curve], runs: Sequence[str] = ()) -> None:
+    """Draw curves into a panel, with their names and units.
 
     All are shown in the unit of the first; where elements of one signal cannot be, each in its own.
-    The axis has the name of the signal, or of the element, that all are of.
+    The axis has the name of the signal, or of the element, that all are of. Of several runs each
+    has its color, and their signals have the same dashes.
+
+    Parameters
+    ----------
+    panel : Axes of matplotlib
+    curves : sequence of Curve
+    runs : sequence of str
+        All runs of the picture, which has a legend of them; by default those of the curves.
 
     Raises
     ------
@@ -252,22 +259,37 @@ def draw_curves(panel: Any, curves: Sequence[Curve], styles: Iterable[Style] = (
         If the units of several signals are of different kinds.
     """
     first = curves[0]
-    names = {curve.name for curve in curves}
+    names = list(dict.fromkeys(curve.name for curve in curves))
     signals = {name.partition("[")[0] for name in names}
+    dashes = dict(zip(names, cycle(DASHES), strict=False))
+    known = runs or list(dict.fromkeys(curve.run for curve in curves))
     has_own_units = False
-    if len(signals) == 1 and len({curve.run for curve in curves}) == 1:
+    if len(signals) == len(known) == 1:
         has_own_units = any(conversion(curve.unit, first.unit) is None for curve in curves)
     distinguish_lines(panel)
-    for curve, style in zip(curves, chain(styles, repeat({})), strict=False):
+    for curve in curves:
         shown = curve if has_own_units else curve.in_unit_of(first)
         unit = _bracketed(curve.unit) if has_own_units else ""
-        label = f"{shown_text(f'{curve.name}{curve.run}')} {unit}".rstrip()
-        shown.draw(panel, label=label, **style)
+        style: dict[str, Any] = {}
+        if len(known) > 1:
+            style |= run_style(known.index(curve.run), len(known))
+            style["linestyle"] = dashes[curve.name]
+        if not runs:
+            style["label"] = f"{shown_text(f'{curve.name}{curve.run}')} {unit}".rstrip()
+        shown.draw(panel, **style)
     common = min(names if len(names) == 1 else signals) if len(signals) == 1 else ""
     unit = "" if has_own_units else _bracketed(first.unit)
     panel.set_ylabel(f"{shown_text(common)} {unit}".strip())
-    if len(curves) > 1:
+    for name in names if runs else ():
+        panel.plot([], [], color="0.3", linestyle=dashes[name], label=shown_text(name))
+    if len(names if runs else curves) > 1:
         show_legend(panel)
+
+
+def run_style(number: int, count: int) -> Style:
+    """Return color and width of one of several runs: equal curves of later ones are thinner."""
+    width = float(np.linspace(_WIDEST, _THINNEST, count)[number])
+    return {"color": COLORS[number % len(COLORS)], "linewidth": width}
 
 
 def _bracketed(unit: Unit) -> str:
@@ -375,19 +397,15 @@ def plot_signals(
         raise UsageError(f"expected names of signals, such as 'plant.y', got {signals!r}")
     runs = list(recordings) if isinstance(recordings, Sequence) else [recordings]
     labels = _short_labels(runs)
-    looks: list[Style] = [{}]  # of each run, so that equal ones stay visible
-    if len(runs) > 1:
-        widths = np.linspace(2.4, 1.0, len(runs))
-        looks = [{"linestyle": one, "linewidth": w} for one, w in zip(cycle(DASHES), widths)]
     picture = Picture(len(signals), options)
     for panel, entry in zip(picture.panels, signals, strict=True):
-        curves: list[Curve] = []
-        styles: list[Style] = []
-        for run, label, look in zip(runs, labels, looks, strict=True):
-            for port in split_names(entry):
-                curves += [one.within(options) for one in curves_of(run, port, run=label)]
-            styles += [look] * (len(curves) - len(styles))
-        draw_curves(panel, curves, styles)
+        curves = [
+            curve.within(options)
+            for run, label in zip(runs, labels, strict=True)
+            for port in split_names(entry)
+            for curve in curves_of(run, port, run=label)
+        ]
+        draw_curves(panel, curves)
     picture.save(out)
 
 
@@ -456,8 +474,8 @@ def plot_difference(comparison: LogDifference, runs: Sequence[Recording], out: P
     both: list[Curve] = []
     for run, label in zip(runs, _short_labels(runs), strict=True):
         both += curves_of(run, apart.name, run=label)
-    draw_curves(above, both, [_WIDE])
-    draw_curves(below, [replace(apart, name="b - a")], [{"color": COLORS[2]}])
+    draw_curves(above, both)
+    draw_curves(below, [replace(apart, name="b - a")])
     if worst.tolerance > 0.0:
         below.axhline(worst.tolerance, label="tolerance", linestyle="--", **_LIMIT)
         below.axhline(-worst.tolerance, linestyle="--", **_LIMIT)
@@ -483,41 +501,33 @@ def plot_comparison(comparison: Comparison | EstimatorComparison, out: Path) -> 
     recordings = comparison.recordings
     if not comparison.estimates:
         raise UsageError("no run has an estimate with a [truth], so there is nothing to compare")
-    widths = np.linspace(2.8, 1.0, len(recordings))  # leave equal lines visible
-    styles: dict[str, Style] = {
-        run: {"color": color, "linewidth": width}
-        for run, color, width in zip(recordings, cycle(COLORS), widths)
-    }
-    first = next(iter(recordings))
+    runs = list(recordings)
     picture = Picture(2 * len(comparison.estimates), STANDARD, columns=2)
     panels = picture.panels
     rows = zip(panels[::2], panels[1::2], comparison.estimates.items(), strict=True)
     for left, right, (estimate, true) in rows:
-        runs = {run: one for run, one in recordings.items() if has_signal(one, estimate)}
-        for recording in runs.values():
-            if truth_of(recording).get(estimate) == true:
-                truth = truth_curves(recording, estimate)
+        with_it = [run for run in runs if has_signal(recordings[run], estimate)]
+        for run in with_it:
+            if truth_of(recordings[run]).get(estimate) == true:
+                truth = truth_curves(recordings[run], estimate)
                 draw_truth(left, truth)
-                limit_to_settled(left, curves_of(recording, estimate), truth)
+                limit_to_settled(left, curves_of(recordings[run], estimate), truth)
                 break
-        drawn: list[Curve] = []
-        for run, recording in runs.items():
-            _draw_elements(left, curves_of(recording, estimate), styles[run])
-            measures = recorded_port(recording, estimate).measures
-            left.set_ylabel(with_unit(estimate, units_text(measures) or None))
-            if first in runs and run != first:
-                curves = difference_curves(recordings[first], recording, estimate)
-                _draw_elements(right, curves, styles[run])
-                drawn += curves
-        limit_to_settled(right, _near_most(drawn))
+        estimates: list[Curve] = []
+        apart: list[Curve] = []
+        for run in with_it:
+            estimates += curves_of(recordings[run], estimate, run=run)
+            if runs[0] in with_it and run != runs[0]:
+                curves = difference_curves(recordings[runs[0]], recordings[run], estimate)
+                apart += [replace(curve, run=run) for curve in curves]
+        for panel, drawn in ((left, estimates), (right, apart)):
+            if drawn:
+                draw_curves(panel, drawn, runs)
+        limit_to_settled(right, _near_most(apart))
         right.ticklabel_format(axis="y", scilimits=SCIENTIFIC)
-        names = list(dict.fromkeys(curve.name for curve in drawn))
-        if len(names) > 1:
-            for name, dashes in zip(names, cycle(DASHES)):
-                right.plot([], [], color="0.3", linestyle=dashes, label=name)
-            show_legend(right)
     panels[0].set_title("estimates", fontsize="medium")
-    panels[1].set_title(f"difference to {first}", fontsize="medium")
+    panels[1].set_title(f"difference to {runs[0]}", fontsize="medium")
+    styles = {run: run_style(number, len(runs)) for number, run in enumerate(runs)}
     named = {**styles, "truth": TRUTH}
     picture.legend([panels[0].plot([], [], label=run, **named[run])[0] for run in named])
     picture.save(out)
@@ -533,11 +543,6 @@ def _near_most(curves: Sequence[Curve]) -> list[Curve]:
     shown = [reach for reach in reaches if reach > 0.0]
     farthest = FAR_BEYOND * float(np.median(shown)) if shown else 0.0
     return [curve for curve, reach in zip(curves, reaches, strict=True) if reach <= farthest]
-
-
-def _draw_elements(panel: Any, curves: Sequence[Curve], style: Style) -> None:
-    for curve, dashes in zip(curves, cycle(DASHES)):
-        curve.draw(panel, linestyle=dashes, **style)
 
 
 def _short_labels(recordings: Sequence[Recording]) -> list[str]:
