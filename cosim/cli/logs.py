@@ -194,8 +194,8 @@ def play(given: Given) -> None:
         "b B : Path": "Another log.",
         "signals [SIGNAL]... : list[str] = None": "Signals to compare, elements or patterns: "
         "plant.y plant.x_a[0:2] '*.delta'. All by default.",
-        "--atol : float >= 0 = 0.0": "Absolute tolerance.",
-        "--rtol : float >= 0 = 0.0": "Tolerance relative to the largest value of each signal.",
+        "--atol : float = 0.0": "Absolute tolerance.",
+        "--rtol : float = 0.0": "Tolerance relative to the largest value of each signal.",
         "--tol SIGNAL=VALUE : numbers": "Absolute tolerance of the signals that match a pattern, "
         "instead of --atol and --rtol: '*.delta=1e-3'. If several patterns match, the last one "
         "counts. Repeatable.",
