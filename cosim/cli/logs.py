@@ -280,9 +280,7 @@ def convert(given: Given) -> None:
     """
     from cosim.log.conversion.choice import choose
     from cosim.log.conversion.files import convert as convert_log
-    from cosim.log.conversion.files import free_target
 
-    free_target(given.out, force=given.force)  # before the log is read
     chosen = choose(given.log, given.signals, given.from_, given.to)
     convert_log(chosen, given.out, force=given.force)
     print_text(given.out)
