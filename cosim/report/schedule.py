@@ -172,7 +172,7 @@ def show_schedule(schedule: Section) -> Shown:
             "": one["name"],
             "stage": one["stage"],
             "kind": one["kind"],
-            "outputs change": _rate(one, ", first {:g} s after the start") or "every step",
+            "outputs change": _rate(one),
             "direct feedthrough": _feedthrough_text(one["feedthrough"]),
         }
         for one in schedule["components"]
@@ -201,11 +201,12 @@ def _way(stage: Section) -> str:
     return text
 
 
-def _rate(component: Section, offset: str) -> str:
-    """Return how often the outputs of a component change; empty: in every step."""
+def _rate(component: Section) -> str:
+    """Return how often the outputs of a component change."""
     if component["period"] is None:
-        return ""
-    later = offset.format(component["offset"]) if component["offset"] else ""
+        return "every step"
+    offset = component["offset"]
+    later = f", first {offset:g} s after the start" if offset else ""
     return f"every {component['period']:g} s{later}"
 
 
@@ -269,28 +270,21 @@ def plot_schedule(schedule: Section, out: Path) -> None:
         panel.add_patch(Rectangle(corner, *_BOX, facecolor="white", edgecolor="#333333", zorder=3))
         name = _cut(f"{numbers.get(one['name'], '')}{one['name']}")
         panel.text(place, place - 0.12, name, fontsize=9, weight="bold", va="bottom", **style)
-        panel.text(place, place - 0.08, _about(one), fontsize=7, va="top", **style)
+        fed = [("not known",) if on is None else on for on in one["feedthrough"].values()]
+        inputs = " ".join(dict.fromkeys(chain.from_iterable(fed))) or "none"
+        lines = (one["kind"], _rate(one), f"feedthrough: {inputs}")
+        about = "\n".join(map(_cut, lines))
+        panel.text(place, place - 0.08, about, fontsize=7, va="top", **style)
     _draw_arrows(panel, schedule["connections"], places)
     present = {connection["course"] for connection in schedule["connections"]}
-    lines = [
+    courses = [
         Line2D([], [], color=color, linestyle=dashes, label=course)
         for course, (_, color, dashes) in COURSES.items()
         if course in present
     ]
-    if lines:
-        picture.legend(lines, below=True)
+    if courses:
+        picture.legend(courses, below=True)
     picture.save(out, title=f"{schedule['scenario']}: communication step {schedule['step']:g} s")
-
-
-def _about(component: Section) -> str:
-    """Return what a box says of its component: kind, period with offset, and feedthrough."""
-    rate = _rate(component, " + {:g} s")
-    of_outputs = component["feedthrough"].values()
-    fed = [name for inputs in of_outputs for name in inputs or ()]
-    feedthrough = f"feedthrough: {' '.join(dict.fromkeys(fed))}" if fed else "no feedthrough"
-    if None in of_outputs:
-        feedthrough = "feedthrough not known"
-    return "\n".join(map(_cut, filter(None, (component["kind"], rate, feedthrough))))
 
 
 def _cut(text: str) -> str:
