@@ -30,7 +30,7 @@ from cosim.documents import plain
 from cosim.errors import CosimError, LogError, UsageError, command, flag, listing
 from cosim.log import Log, open_log
 from cosim.log.comparison.diff import diff
-from cosim.log.comparison.difference import ElementDifference, SignalDifference
+from cosim.log.comparison.difference import ElementDifference, LogDifference, SignalDifference
 from cosim.log.contents.environment import environment_changes
 from cosim.report.statements import Contradiction, Statements
 from cosim.scenario.record import component_record, recorded_substep_counts, replay_origin
@@ -80,21 +80,20 @@ class Verification:
     ----------
     source : Log
     again : Log or Memory
-        What :func:`cosim.replay` made of it: all of it, or a window, which is then compared alone.
-    designs : mapping of name to Design, optional
-        Those that the replay took from the log, computed anew; without them none is compared.
+        Its replay.
+    difference : LogDifference
+        Of the log and its replay.
+    statements : Statements or None
+        What the log says of its run beside its rows; None: only a window was replayed.
 
     Attributes
     ----------
-    source : Log
     window : (float, float) or None
         The part of the log that was compared [s]; None: all of it.
     recorded_hash : str or None
         Content hash that the run recorded; None: its log is unfinished.
     found_hash : str
         Of the rows in the log.
-    difference : LogDifference
-        Of the log and its replay.
     contradictions : tuple of Contradiction
         What the log says of its run and the replay does not.
     statements, not_compared : str
@@ -117,39 +116,30 @@ class Verification:
     Raises
     ------
     LogError
-        If the log is damaged, has no content hash, or says what cannot be understood.
-    UsageError
-        If the replay was asked to record less than the log has.
+        If the log has no content hash, or says what cannot be understood.
     """
 
     def __init__(
-        self, source: Log, again: Log | Memory, designs: Mapping[str, Design] | None = None
+        self,
+        source: Log,
+        again: Log | Memory,
+        difference: LogDifference,
+        statements: Statements | None,
     ) -> None:
-        _check_selection(source, again)
         self.source = source
         self._again = again
-        self._origin = origin = replay_origin(again)
-        self.window = origin.window
+        self._origin = replay_origin(again)
+        self.window = self._origin.window
+        self.recorded_hash = _recorded_hash(source)
+        self.found_hash = source.content_hash()
+        self.difference = difference
         self.contradictions: tuple[Contradiction, ...] = ()
         self.statements = ""
         self.not_compared = "rows outside that window, records of the run"
-        if self.window is None:
-            statements = Statements(source, again, designs)
+        if statements is not None:
             self.contradictions = tuple(statements.contradictions())
             self.statements = str(statements)
             self.not_compared = statements.not_compared
-        shared = (
-            [] if source.partial is None else [name for name in source if name in again.signals]
-        )
-        if source.partial is not None and not shared:
-            raise LogError(
-                f"{source.label}: nothing to verify: the partial log was recorded with "
-                f"{source.partial.selection}, and a replay has none of these signals"
-            )
-        window_ns = self.window and (nanoseconds(self.window[0]), nanoseconds(self.window[1]))
-        self.difference = diff(source, again, signals=shared, span_ns=window_ns)
-        self.recorded_hash = _recorded_hash(source)
-        self.found_hash = source.content_hash()
         self._find_copied()
         self.components = list(self._components())
         self.environment = environment_changes(source)
@@ -357,8 +347,35 @@ def _shown(what: str, entries: Sequence[object]) -> list[str]:
 def verify(
     source: Log, again: Log | Memory, designs: Mapping[str, Design] | None = None
 ) -> Verification:
-    """Compare a log with its replay; see :class:`Verification`."""
-    return Verification(source, again, designs)
+    """Compare a log with its replay and with the hash that its run recorded.
+
+    Parameters
+    ----------
+    source : Log
+    again : Log or Memory
+        What :func:`cosim.replay` made of it: all of it, or a window, which is then compared alone.
+    designs : mapping of name to Design, optional
+        Those that the replay took from the log, computed anew; without them none is compared.
+
+    Raises
+    ------
+    LogError
+        If the log is damaged, has no content hash, or says what cannot be understood.
+    UsageError
+        If the replay was asked to record less than the log has.
+    """
+    _check_selection(source, again)
+    window = replay_origin(again).window
+    statements = None if window else Statements(source, again, designs)
+    shared = [] if source.partial is None else [name for name in source if name in again.signals]
+    if source.partial is not None and not shared:
+        raise LogError(
+            f"{source.label}: nothing to verify: the partial log was recorded with "
+            f"{source.partial.selection}, and a replay has none of these signals"
+        )
+    span_ns = None if window is None else (nanoseconds(window[0]), nanoseconds(window[1]))
+    difference = diff(source, again, signals=shared, span_ns=span_ns)
+    return Verification(source, again, difference, statements)
 
 
 def _recorded_hash(source: Log) -> str | None:
