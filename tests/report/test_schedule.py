@@ -119,6 +119,16 @@ def test_text_and_json_are_of_one_record(call):
     assert [stage["number"] for stage in content["stages"]] == [1, 2, 3, 4, 5]
 
 
+def test_the_picture_has_what_the_tables_say(call, tmp_path):
+    """Each component with its number in the loop; each input where its arrow turns."""
+    pytest.importorskip("matplotlib")
+    assert call("info", "closed-loop", "--graph", "--out", "a.svg")[1].endswith("\na.svg\n")
+    shown = re.findall(r"<text[^>]*>([^<]*)</text>", (tmp_path / "a.svg").read_text("utf-8"))
+    assert {"delta", "1  controller", "5  error", "loop: gauss-seidel, first order"} <= set(shown)
+    assert {"every 0.1 s", "feedthrough: u1 u2", "extrapolated", "linear"} <= set(shown)
+    assert shown.count("u1") == 1
+
+
 def test_ports_that_user_code_defines_are_not_asked_for(tmp_path, call):
     code, out, err = call("info", write(tmp_path, certified.ECHO), "--graph")
     assert (code, out) == (2, "")
