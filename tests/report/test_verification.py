@@ -528,16 +528,6 @@ def test_the_log_of_a_run_that_failed_or_was_stopped_passes(tmp_path):
         assert verified(tmp_path / name).problems == []
 
 
-def test_the_log_of_a_swapped_run_passes_without_what_was_swapped_in(valid, tmp_path):
-    """The swap report and its warnings are of the run; a replay compares nothing with them."""
-    plant = tmp_path / "plant.mcap"
-    plant.write_bytes(valid.read_bytes())
-    path = tmp_path / "a.mcap"
-    cosim.run("academic", out=path, swap={"plant": plant}, set={"scenario.stop": 0.05})
-    plant.unlink()
-    assert verified(path).problems == []
-
-
 def test_a_log_without_an_estimate_is_not_contradicted_by_a_replay_without_verdicts(tmp_path):
     """There is nothing in it that the replay should have found."""
     short = {"scenario.stop": 0.1, "scenario.step": 0.02}
