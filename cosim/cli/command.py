@@ -21,7 +21,6 @@ import gc
 from ast import literal_eval
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from enum import StrEnum
 from functools import wraps
 from inspect import Parameter, Signature
 from keyword import iskeyword
@@ -196,15 +195,12 @@ class OptionKind(NamedTuple):
     type: Any
     read: Callable[[Any, str], Any] | None = None
     complete: Callable[..., list[str]] | None = None
-    least: float | None = None
 
 
-METHODS: Final = StrEnum("METHODS", ["cobyqa", "nelder-mead", "global", "optuna"])
 KINDS: Final = {
     "": OptionKind(bool),
     "bool": OptionKind(bool),
     "float": OptionKind(float),
-    "float >= 0": OptionKind(float, least=0.0),
     "int": OptionKind(int),
     "str": OptionKind(str),
     "Path": OptionKind(Path, lambda path, _: expanded(path)),
@@ -223,7 +219,6 @@ KINDS: Final = {
     "failures": OptionKind(list[str], read_failures, completion.complete_failures),
     "maps": OptionKind(list[str], read_unique_pairs, completion.complete_map),
     "members": OptionKind(str, read_members),
-    "method": OptionKind(METHODS, lambda method, _: str(method)),
     "numbers": OptionKind(list[str], read_numbers),
     "pairs": OptionKind(list[str], read_unique_pairs),
     "ranges": OptionKind(list[str], read_ranges),
@@ -245,9 +240,7 @@ def _parameter(key: str, text: str) -> tuple[Parameter, OptionKind]:
     if flags:
         metavar = spelled.removeprefix(" ".join(flags)).strip() or None
         name = max(flags, key=len).partition("/")[0].lstrip("-").replace("-", "_")
-        shown = typer.Option(
-            *flags, metavar=metavar, help=text, autocompletion=kind.complete, min=kind.least
-        )
+        shown = typer.Option(*flags, metavar=metavar, help=text, autocompletion=kind.complete)
         value: Any = None if kind_name else False
     else:
         name, _, metavar = spelled.partition(" ")

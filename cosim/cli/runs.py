@@ -119,7 +119,7 @@ VERDICTS: Final = "verdicts; omit --no-verdicts"
 )
 def run(given: Given) -> bool:
     """Run a scenario and record every signal to an MCAP log."""
-    from cosim.report.tables.logs import is_rotated, print_rotated
+    from cosim.report.tables.logs import is_rotated, show_rotated
     from cosim.report.tables.run import print_summary
     from cosim.scenario.running.execution import load
     from cosim.scenario.running.execution import run as run_scenario
@@ -165,7 +165,8 @@ def run(given: Given) -> bool:
     wall = {"imports": imported - BEGAN, "run": perf_counter() - imported}
     _draw(log, given.plot)
     if given.rotate is not None and is_rotated(log):
-        print_rotated(log, wall=wall, **shown)
+        if given.json or not given.quiet:
+            given.print_shown(show_rotated(log, wall))
     else:
         print_summary(log, wall=wall, profile=profile, **shown)
     return has_failed(_failures(log, given, view))
@@ -222,12 +223,12 @@ def replay(given: Given) -> bool:
             again = resources.enter_context(replayed)
         _draw(again, given.plot)
         if given.verify and replays.source is not None:
-            from cosim.report.tables.logs import print_verification
+            from cosim.report.tables.logs import show_verification
             from cosim.report.verification import verify
 
             designs = None if replays.request.window is not None else replays.designs()
             verification = verify(replays.source, again, designs)
-            print_verification(verification, replays.source, path=given.log, **shown)
+            given.print_shown(show_verification(verification, given.log, quiet=given.quiet))
             if not verification.passed:
                 return True
         else:

@@ -10,7 +10,7 @@ import typer
 
 import cosim
 from cosim.cli.app import COMMANDS
-from cosim.cli.command import Given, command, read_ranges, read_variations
+from cosim.cli.command import command, read_ranges, read_variations
 from cosim.errors import UsageError, shell_language
 
 
@@ -110,11 +110,6 @@ def _names(text):
     handed_on = " ".join(re.findall(r'only\("([^"]*)"\)', text)).split()
     read = re.findall(r"\bgiven\.(\w+)", text.replace(".print_shown(", ".json("))
     return [*read, *handed_on]
-
-
-def test_some_values_are_handed_on():
-    """By name, and no others."""
-    assert Given(a=1, b=2, c=3).only("a c") == {"a": 1, "c": 3}
 
 
 def test_values_are_toml_where_they_can_be():

@@ -216,3 +216,35 @@ def test_wrong_use_is_refused(logs, call, tmp_path, subtests):
             code, output, errors = call("identify", logs["first"], *options)
             assert (code, output) == (2, "")
             assert re.search(text, errors)
+
+
+# --- pictures ---
+
+
+def texts(path):
+    """Return the texts of an SVG."""
+    return re.findall(r"<text[^>]*>([^<]*)</text>", path.read_text("utf-8"))
+
+
+@pytest.mark.slow
+def test_the_picture_shows_residual_disturbance_and_theta(logs, identify, tmp_path):
+    """Both estimates beside their truth, with their errors and bands.
+
+    Where the data contradict theta, the disturbance has no band, which is said.
+    """
+    pytest.importorskip("matplotlib")
+    identify("--plot", "a.svg")
+    expected = {
+        "residual",
+        "its spectrum; gray: white noise, 95 %",
+        "estimated disturbance; gray: truth",
+        "theta during the run; gray: truth",
+        "error of identifier.theta[1]",
+    }
+    shown = texts(tmp_path / "a.svg")
+    assert expected <= set(shown)
+    assert shown.count("its error, and 95 % band") == 2
+    identify(logs["other"], "--plot", "b.svg")
+    shown = texts(tmp_path / "b.svg")
+    assert shown.count("its error") == 2
+    assert {f"{logs['other']}: residual", "no 95 % band: theta[0] is INCONSISTENT"} <= set(shown)
