@@ -10,24 +10,25 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple, TypeAlias, get_args
+from typing import Annotated, Any, Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
+from pydantic import Field
 
 from cosim.arrays import NAN, Matrix, Vector
 from cosim.errors import UsageError, nearest
 from cosim.files import read_bounded
 from cosim.instants import EXACT
+from cosim.scenario.document.schema import TomlTable, Whole
 from cosim.units import base_unit
 
 LARGEST: Final = 2**28  # bytes
 NO_UNIT: Final = ("-", "1")  # as dimensionless quantities are often marked
 
-TimeOffset: TypeAlias = float | Literal["first"]
 SameTime: TypeAlias = Literal["last", "spread"]
 
 _HEADER: Final = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<unit>[^\[\]]+)\]|\((?P<known>[^()]+)\))")
@@ -48,63 +49,29 @@ _SYMBOLS: Final = {"se": "s", "mi": "min", "ho": "h", "st": "h", "da": "d", "ta"
 # --- what is given ---
 
 
-@dataclass(frozen=True, slots=True)
-class TableForm:
-    """What is given of the form of a table; see the keys of the kind field-data.
+class TableForm(TomlTable):
+    """How a table stands in its file, where that is not as it is found."""
 
-    Parameters
-    ----------
-    separator, decimal, comment, sheet : str or None
-    skip : int or None
-        Lines before the names of the columns; None: they are found.
-    missing : tuple of numbers and texts
-        That stand for no measured value.
-
-    Raises
-    ------
-    UsageError
-        If ``decimal`` or ``skip`` is none.
-    """
-
-    separator: str | None = None
-    decimal: str | None = None
-    skip: int | None = None
-    comment: str | None = None
-    missing: tuple[float | str, ...] = ()
-    sheet: str | None = None
-
-    def __post_init__(self) -> None:
-        if self.decimal not in (None, ".", ","):
-            raise UsageError(f'decimal: expected "." or ",", got {self.decimal!r}')
-        if self.skip is not None and self.skip < 0:
-            raise UsageError(f"skip: expected a number of lines, got {self.skip}")
+    separator: str | None = Field(
+        None,
+        description="column separator of a text; default: tab, semicolon, vertical bar or "
+        "comma, the one that splits its lines into equally many cells; several blanks are one",
+    )
+    decimal: Literal[".", ","] | None = Field(
+        None, description="decimal separator of a text; default: as found in its numbers"
+    )
+    skip: Annotated[Whole, Field(ge=0)] | None = Field(
+        None,
+        description="lines before the names of the columns; default: the names are found, above "
+        "the first row of numbers, or between them a row of units",
+    )
+    comment: Annotated[str, Field(max_length=10)] | None = Field(
+        None, description='what lines begin with that are left out; default: "#"'
+    )
+    sheet: str | None = Field(None, description="sheet of a workbook; default: its only one")
 
 
-@dataclass(frozen=True, kw_only=True)
-class FieldForm:
-    """What is given of field data; see :func:`cosim.read_field_data`.
-
-    Raises
-    ------
-    UsageError
-        If ``offset`` or ``same_time`` is none.
-    """
-
-    time: str | None = None
-    time_unit: str | None = None
-    offset: TimeOffset | None = None
-    same_time: SameTime | None = None
-    columns: Mapping[str, str | Sequence[str]] | None = None
-    table: TableForm = TableForm()
-
-    def __post_init__(self) -> None:
-        offset = self.offset
-        is_instant = isinstance(offset, int | float) and not isinstance(offset, bool)
-        if offset is not None and offset != "first" and not (is_instant and math.isfinite(offset)):
-            raise UsageError(f'offset: expected a finite number or "first", got {offset!r}')
-        if self.same_time not in (None, *get_args(SameTime)):
-            raise UsageError(f'same_time: expected "last" or "spread", got {self.same_time!r}')
-
+AS_FOUND: Final = TableForm.model_validate({})
 
 # --- names and units of columns ---
 

@@ -12,6 +12,7 @@ from cosim.arrays import NAN
 from cosim.errors import UsageError
 from cosim.scenario.data_files.mat_file import MatTable
 from cosim.scenario.data_files.table import (
+    AS_FOUND,
     LARGEST,
     DataTable,
     Header,
@@ -19,13 +20,22 @@ from cosim.scenario.data_files.table import (
     content_of,
     is_number,
 )
-from cosim.scenario.data_files.text_table import TextTable, excel_table, text_table
+from cosim.scenario.data_files.text_table import TextTable
 
 _BYTES: Final = 8  # of a number
 
 
-def read_table(path: Path, form: TableForm | None = None) -> DataTable:
+def read_table(
+    path: Path, form: TableForm = AS_FOUND, missing: Sequence[float | str] = ()
+) -> DataTable:
     """Read a table by the ending of its name; all that is none of the others is text.
+
+    Parameters
+    ----------
+    path : Path
+    form : TableForm, optional
+    missing : sequence of numbers and texts
+        That stand for no measured value; a cell may have such a text.
 
     Raises
     ------
@@ -39,7 +49,7 @@ def read_table(path: Path, form: TableForm | None = None) -> DataTable:
         case ".mat":
             table = MatTable(path)
         case _:
-            table = read_texts(path, form, is_text=False)
+            table = TextTable(path, form, missing)
     named = [header for header in table.headers if header.text]
     unnamed = table.index & {header.position for header in table.headers if not header.text}
     if len(named) + len(unnamed) < 2:
@@ -50,18 +60,6 @@ def read_table(path: Path, form: TableForm | None = None) -> DataTable:
     if all(is_number(header.name) for header in named):
         raise UsageError(f"{table.label}: expected column names in line 1, got numbers")
     return table
-
-
-def read_texts(path: Path, form: TableForm | None = None, *, is_text: bool = True) -> TextTable:
-    """Read a table of cells, which need not be numbers and may span several lines, without units.
-
-    Raises
-    ------
-    UsageError
-        As :func:`read_table`.
-    """
-    read = excel_table if path.suffix.lower() in (".xlsx", ".xlsm") else text_table
-    return read(path, form or TableForm(), is_text=is_text)
 
 
 class ParquetTable(DataTable):
