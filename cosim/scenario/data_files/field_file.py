@@ -405,23 +405,19 @@ def _times(table: DataTable, clock: Header, form: FieldForm) -> _Times:
 
 
 def _check_increasing(table: DataTable, seconds: Sequence[float], rows: Sequence[int]) -> None:
-    before = -math.inf
-    for number, t in enumerate(seconds):
+    for number, (before, t) in enumerate(pairwise([-math.inf, *seconds])):
         if before < t < math.inf:
-            before = t
             continue
-        place = f"{table.label}, {table.place(rows[number])}"
-        if not math.isfinite(t):
-            raise UsageError(f"{place}: expected a finite time, got {t!r} s")
         way_out = "select another column by time"
         if t == before:
             way_out += (
                 ', or samples of one time stamp by same_time: "spread" spreads them evenly up '
                 'to the next one, "last" takes the last'
             )
+        place = f"in {table.place(rows[number - 1])}" if number else "the beginning"
         raise UsageError(
-            f"{place}: expected increasing times, got {t!r} s after {before!r} s in "
-            f"{table.place(rows[number - 1])}; {way_out}"
+            f"{table.label}, {table.place(rows[number])}: expected increasing times, got {t!r} s "
+            f"after {before!r} s {place}; {way_out}"
         )
 
 

@@ -37,13 +37,18 @@ _TIMES: Final = re.compile(
     r"(?i:times?|zeit|uhrzeit|time_?stamps?|zeitstempel|(elapsed|simulation|log)_?time))"
     r"(_(?P<unit>[mun]?s(ec)?|min|h|(?i:(milli|micro|nano)?seconds|minutes|hours)))?"
 )
-# units of time in words of English and German, and the symbols of their beginnings
-_TIME_WORDS: Final = re.compile(
-    r"(?P<prefix>milli|mi[ck]ro|nano)?(seconds?|sekunden?)|minute[ns]?|hours?|stunden?|days?|tage?",
-    re.IGNORECASE,
-)
-_PREFIXED: Final = {"mil": "ms", "mic": "us", "mik": "us", "nan": "ns"}
-_SYMBOLS: Final = {"se": "s", "mi": "min", "ho": "h", "st": "h", "da": "d", "ta": "d"}
+_PREFIXES: Final = {"": "", "milli": "m", "micro": "u", "mikro": "u", "nano": "n"}
+# units of time in words of English and German, and their symbols
+_TIME_WORDS: Final = {
+    **{
+        f"{prefix}{word}": f"{symbol}s"
+        for prefix, symbol in _PREFIXES.items()
+        for word in ("second", "seconds", "sekunde", "sekunden")
+    },
+    **dict.fromkeys(("minute", "minutes", "minuten"), "min"),
+    **dict.fromkeys(("hour", "hours", "stunde", "stunden"), "h"),
+    **dict.fromkeys(("day", "days", "tag", "tage"), "d"),
+}
 
 
 # --- what is given ---
@@ -204,15 +209,12 @@ def seconds_in(unit: str) -> float | None:
 
 def is_time_word(text: str) -> bool:
     """Return whether a text is a unit of time in a word, such as ``Millisekunden``."""
-    return _TIME_WORDS.fullmatch(text) is not None
+    return text.lower() in _TIME_WORDS
 
 
 def symbol_of(unit: str) -> str:
     """Return the symbol of a unit of time in a word; any other unit as it is."""
-    word = _TIME_WORDS.fullmatch(unit)
-    if word is None:
-        return unit
-    return _PREFIXED[unit[:3].lower()] if word["prefix"] else _SYMBOLS[unit[:2].lower()]
+    return _TIME_WORDS.get(unit.lower(), unit)
 
 
 def is_number(cell: str) -> bool:

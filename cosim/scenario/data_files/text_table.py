@@ -277,7 +277,8 @@ class TextTable(DataTable):
                 f"{self.label}: expected {width} names of columns above {sheet.at(first)}, "
                 f"which has {width} cells, got {len(before.cells)} in {sheet.at(before)}"
             )
-        if not above:
+        in_comments = not above
+        if in_comments:
             comments = [row for row in sheet.comments if row.number < first.number]
             above = list(takewhile(lambda row: len(row.cells) == width, reversed(comments)))[::-1]
             rows = [*above, *rows]
@@ -288,7 +289,7 @@ class TextTable(DataTable):
             )
         names = above[-1]
         way_out = f"skip = {names.number - 1} reads"
-        for row in rows[: rows.index(names)]:
+        for row in [] if in_comments else rows[: rows.index(names)]:
             if len(row.cells) > 1 and _is_value(row.cells[0]):
                 raise UsageError(
                     f"{self.label}, {sheet.at(row)}: expected no row of numbers above the names of "

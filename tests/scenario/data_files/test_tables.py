@@ -70,7 +70,7 @@ TEXTS = {
     "tabs and decimal commas": ("time\ty [m/s]\n0\t1\n0,5\t2\n1\t3,5\n1,5\t4\n", "m/s"),
     "separators at the ends": ("time;y\n0;1;\n0,5;2;\n1;3,5;\n1,5;4;\n", None),
     "comments": (f"# tank 3\n# rate: 2 Hz, 4 rows\ntime,y\n0,1\n# paused\n{ROWS[4:]}", None),
-    "names in a comment": (f"# of numpy\n# time,y\n{ROWS}", None),
+    "names in a comment": (f"# of numpy\n# 2024-03-01,A\n# time,y\n{ROWS}", None),
     "a preamble": (f"Logger 5\nDevice,ABC\nDate,2024-01-01\n\ntime,y\n{ROWS}", None),
     "a date above": (f"Datum,01.03.2024\nwhen [s],y\n{ROWS}", None),
     "a row of units": ("time,y,n\nms,mm,-\n0,1,0\n500,2,0\n1000,3.5,0\n1500,4,0\n", "mm"),
