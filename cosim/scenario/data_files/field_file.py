@@ -275,12 +275,12 @@ def _clock(
     UsageError
         If several may be it.
     """
-    unnamed = [one for one in table.headers if not one.text and one.position in table.index]
+    unnamed = [one for one in table.headers if not one.text and one.is_index]
     reason = ""
     notes: tuple[str, ...] = ()
     if form.time is not None:
         (clock,) = find_headers(table.label, named, [form.time])
-    elif candidates := _candidates(table, [*unnamed, *named]):
+    elif candidates := _candidates([*unnamed, *named]):
         clock = candidates[0]
         if len(candidates) > 1:
             names = ", ".join(repr(header.name) for header in candidates)
@@ -294,10 +294,9 @@ def _clock(
         is_named = clock.times is not None or clock.time_unit is not None
         reason = "says so by its name or unit" if is_named else "has dates or durations"
     else:
-        index = [header for header in named if header.position in table.index]
+        index = [header for header in named if header.is_index]
         clock = [*unnamed, *index, *named][0]
-        is_index = clock.position in table.index
-        where = "the index that pandas wrote" if is_index else "the first column"
+        where = "the index that pandas wrote" if clock.is_index else "the first column"
         name = f", {clock.name!r}" if clock.name else ""
         reason = "no column says that it has times"
         note = (
@@ -310,16 +309,12 @@ def _clock(
     return clock, notes
 
 
-def _candidates(table: DataTable, headers: Sequence[Header]) -> list[Header]:
+def _candidates(headers: Sequence[Header]) -> list[Header]:
     """Return the columns that say of themselves that they have times, in the first way."""
-    stamps = [header for header in headers if header.position in table.stamp_units]
-    timed = [header for header in headers if header.time_unit is not None]
-    called = []
-    for header in headers:
-        is_number = header.has_dates and header.position in table.numbers
-        if header.times is not None and not is_number:
-            called.append(header)
-    index = [one for one in (*called, *timed, *stamps) if one.position in table.index]
+    stamps = [one for one in headers if one.stamp_unit is not None]
+    timed = [one for one in headers if one.time_unit is not None]
+    called = [one for one in headers if one.times and not (one.has_dates and one.is_number)]
+    index = [one for one in (*called, *timed, *stamps) if one.is_index]
     return list(dict.fromkeys(index)) or called or timed or stamps
 
 
@@ -362,7 +357,7 @@ def _times(table: DataTable, clock: Header, form: FieldForm) -> _Times:
         If there are none, they do not ascend, or have no unit of time.
     """
     stamps = table.times(clock.position)
-    own = table.stamp_units.get(clock.position)
+    own = clock.stamp_unit
     if own is not None and form.time_unit is not None:
         raise UsageError(
             f"{table.label}: column {clock.name!r}: expected numbers, as time_unit is "

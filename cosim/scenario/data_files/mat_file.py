@@ -240,10 +240,11 @@ class MatTable(DataTable):
             else "matrices of equally many rows"
         )
         self.tell("variables", form, "by their names and sizes", "")
-        self.numbers = set(range(len(self._columns)))
 
     def _add(self, name: str, unit: str, column: Vector, sign: float = 1.0) -> None:
-        self.add_header(Header(name, name, None, len(self._columns)), unit, "its description")
+        self.add_header(
+            Header(name, name, None, len(self._columns), is_number=True), unit, "its description"
+        )
         self._columns.append((column, sign))
 
     def _take_trajectory(

@@ -83,12 +83,18 @@ AS_FOUND: Final = TableForm.model_validate({})
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """All that is written of a column, its name and unit in it, and where it stands."""
+    """All that is written of a column, its name and unit in it, where it stands, and what it has.
+
+    ``stamp_unit`` is the unit of dates and durations; ``is_index``: it was the index of a frame.
+    """
 
     text: str
     name: str
     unit: str | None
     position: int
+    is_number: bool = False
+    stamp_unit: str | None = None
+    is_index: bool = False
 
     @staticmethod
     def parse(text: str, position: int) -> Header:
@@ -241,10 +247,8 @@ class Reading(NamedTuple):
 class DataTable:
     """Columns of numbers, each with its position from 0.
 
-    ``headers`` are the columns with a name, ``index`` those that were the index of a frame,
-    ``stamp_units`` has the units of dates and durations, ``numbers`` are the columns of numbers.
     ``same_time`` says what is done with rows of one time where nobody says it. A file has its own
-    :meth:`numbers_of`.
+    :meth:`numbers_of`; its columns are at their positions in ``headers``.
     """
 
     hint = ""
@@ -253,13 +257,12 @@ class DataTable:
     def __init__(self, path: Path) -> None:
         self.label = f"file {str(path)!r}"
         self.headers: list[Header] = []
-        self.index: set[int] = set()
-        self.stamp_units: dict[int, str] = {}
-        self.numbers: set[int] = set()
         self.reading: list[Reading] = []
 
     def numbers_of(self, position: int) -> Sequence[Any] | Vector:
-        """Return the numbers of a column as the file has them, texts too; NaN: not measured.
+        """Return the numbers of a column, as the file has them, texts too; NaN: there is none.
+
+        Of dates and durations, what they count in their unit.
 
         Raises
         ------
@@ -267,10 +270,6 @@ class DataTable:
             If it has something else.
         """
         raise NotImplementedError
-
-    def stamps_of(self, position: int) -> Sequence[Any] | Vector:
-        """Return the time stamps of a column, in its unit; NaN: there is none."""
-        return self.numbers_of(position)
 
     def place(self, row: int) -> str:
         """Return how messages name a row."""
@@ -302,7 +301,7 @@ class DataTable:
         UsageError
             If one is missing, infinite, or none.
         """
-        stamps = [Decimal(str(stamp)) for stamp in self.stamps_of(position)]
+        stamps = [Decimal(str(stamp)) for stamp in self.numbers_of(position)]
         for row, stamp in enumerate(stamps):
             if not stamp.is_finite():
                 found = "an empty cell" if stamp.is_nan() else float(stamp)
@@ -317,6 +316,11 @@ class DataTable:
         UsageError
             If it has something else, an infinite number, or an integer that is no float64.
         """
+        header = self.headers[position]
+        if header.stamp_unit is not None:
+            raise UsageError(
+                f"{self.label}: column {header.text!r}: expected numbers, got dates or durations"
+            )
         written = self.numbers_of(position)
         if isinstance(written, np.ndarray):
             values = written.astype(np.float64)

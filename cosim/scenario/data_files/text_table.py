@@ -13,7 +13,7 @@ import re
 import zipfile
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from decimal import Decimal
 from io import BytesIO
@@ -234,15 +234,15 @@ class TextTable(DataTable):
         self._tell(form, missing, names, units)
         for position, text in enumerate(names.cells):
             unit = units.cells[position].strip().strip("[]()").strip() if units is not None else ""
-            self.add_header(Header.parse(text, position), unit, "the row of units")
             given = (cell for cell in self._stripped(position) if cell not in self._gaps)
             first = next(given, "")
-            if is_number(first.replace(",", ".")):
-                self.numbers.add(position)
-            elif nanoseconds(first) is not None:
-                self.stamp_units[position] = "ns"
-        if self.headers and not self.headers[0].text:  # so pandas writes an index without a name
-            self.index = {0}
+            header = replace(
+                Header.parse(text, position),
+                is_number=is_number(first.replace(",", ".")),
+                stamp_unit=None if nanoseconds(first) is None else "ns",
+                is_index=not position and not text.strip(),  # so pandas writes one without a name
+            )
+            self.add_header(header, unit, "the row of units")
 
     # what stands where
 
@@ -377,15 +377,10 @@ class TextTable(DataTable):
     def _stripped(self, position: int) -> Iterator[str]:
         return (row.cells[position].strip() for row in self._rows)
 
-    def numbers_of(self, position: int) -> list[str]:
-        """Return the numbers of a column as Python writes them."""
-        cells = enumerate(self._stripped(position))
-        return [self._number(row, position, cell) for row, cell in cells]
-
-    def stamps_of(self, position: int) -> list[Decimal | str]:
-        """Return numbers, or the nanoseconds of dates and durations."""
-        stamps: list[Decimal | str] = []
-        is_of_dates = position in self.stamp_units
+    def numbers_of(self, position: int) -> list[Decimal | str]:
+        """Return the numbers of a column as Python writes them, or the ns of dates."""
+        numbers: list[Decimal | str] = []
+        is_of_dates = self.headers[position].stamp_unit is not None
         for row, cell in enumerate(self._stripped(position)):
             stamp = nanoseconds(cell) if is_of_dates else None
             is_like_a_date = _LIKE_A_DATE.fullmatch(cell) is not None
@@ -396,8 +391,8 @@ class TextTable(DataTable):
                     f"{repr(cell) if is_like_a_date else 'other text'}; convert the column, such "
                     "as by pandas.to_datetime"
                 )
-            stamps.append(self._number(row, position, cell) if stamp is None else stamp)
-        return stamps
+            numbers.append(self._number(row, position, cell) if stamp is None else stamp)
+        return numbers
 
     def _number(self, row: int, position: int, cell: str) -> str:
         """Return a number as Python writes it; "nan": nothing was measured."""
