@@ -25,7 +25,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -298,39 +298,30 @@ class MatTable(DataTable):
 # --- models ---
 
 
-class ModelFile(NamedTuple):
-    """The variables of a file that are matrices of a model, the names of others, its SHA-256."""
-
-    matrices: dict[str, Matrix]
-    others: tuple[str, ...]
-    sha256: str
-
-
-def read_model_file(path: Path, letters: tuple[str, ...]) -> ModelFile:
-    """Read the matrices of these names, as far as a MAT-file has them.
+def read_model_file(path: Path, letters: tuple[str, ...]) -> tuple[dict[str, Matrix], str]:
+    """Return the matrices of a model, as far as a MAT-file has them, and its SHA-256.
 
     Raises
     ------
     UsageError
-        If the file cannot be read or is none of that kind, or a variable of these names is no
-        matrix of finite real numbers.
+        If the file cannot be read or is none of that kind, has no A or C, or a variable of these
+        names is no matrix of real numbers.
     """
     content = content_of(path)
     variables = read_variables(f"file {path}", content)
     matrices = {}
     for name in letters:
-        value = variables.pop(name, None)
+        value = variables.get(name)
         if isinstance(value, OtherVariable):
             raise UsageError(
                 f"file {path}: {name}: expected a matrix of real numbers, got {value.what}"
             )
         if value is not None and value.shape != (0, 0):  # MATLAB's [], which stands for none
             matrices[name] = value
-    sha256 = hashlib.sha256(content).hexdigest()
-    return ModelFile(matrices, tuple(sorted(variables)), sha256)
-
-
-def missing_text(file: str, content: ModelFile, missing: list[str]) -> str:
-    """Return what to say where a file lacks matrices of a model."""
-    names = listing([*content.matrices, *content.others]) or "none"
-    return f"file {file}: expected A and C, got no {' and '.join(missing)}; available: {names}"
+    missing = [name for name in ("A", "C") if name not in matrices]
+    if missing:
+        raise UsageError(
+            f"file {path}: expected A and C, got no {' and '.join(missing)}; available: "
+            f"{listing(sorted(variables)) or 'none'}"
+        )
+    return matrices, hashlib.sha256(content).hexdigest()
