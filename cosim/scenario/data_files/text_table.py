@@ -423,9 +423,7 @@ def text_sheet(path: Path, form: TableForm, *, spanning: bool) -> Sheet:
     With ``spanning`` a cell may span several lines, and an empty row counts.
     """
     text, encoding = _decoded(path)
-    mark = form.comment
-    if mark is None:
-        mark = "" if form.separator == _COMMENT else _COMMENT
+    mark = _COMMENT if form.comment is None else form.comment
     kept: list[tuple[int, str]] = []
     comments: list[tuple[int, str]] = []
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
