@@ -162,9 +162,9 @@ def parameters_of(table: type[BaseModel]) -> list[Parameter]:
 
     The required ones come first, those that every kind has, or every table, last.
     """
-    from cosim.scenario.kinds.tables import TableKeys  # rarely needed
+    from cosim.scenario.data_files.table import TableForm  # rarely needed
 
-    shared = Kind.model_fields.keys() | TableKeys.model_fields.keys()
+    shared = Kind.model_fields.keys() | TableForm.model_fields.keys()
     fields = table.model_fields
 
     def place(name: str) -> int:

@@ -452,15 +452,12 @@ class BuildContext(CodeLoading):
                 self.model_records[name] = plain(record)
                 return record.arrays
         # rarely needed
-        from cosim.scenario.data_files.mat_file import missing_text, read_model_file
+        from cosim.scenario.data_files.mat_file import read_model_file
 
-        content = read_model_file(self.file(path), LETTERS)
-        missing = [letter for letter in ("A", "C") if letter not in content.matrices]
-        if missing:
-            raise UsageError(missing_text(path, content, missing))
-        matrices = {letter: rows.tolist() for letter, rows in content.matrices.items()}
-        self.model_records[name] = {"file": path, "sha256": content.sha256, "matrices": matrices}
-        return content.matrices
+        matrices, sha256 = read_model_file(self.file(path), LETTERS)
+        written = {letter: rows.tolist() for letter, rows in matrices.items()}
+        self.model_records[name] = {"file": path, "sha256": sha256, "matrices": written}
+        return matrices
 
     def spec(self, name: str) -> Kind:
         """Return the table of another component, and record that it was read."""

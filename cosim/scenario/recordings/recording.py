@@ -319,9 +319,7 @@ def run_into(
 
 def run_rows(recorder: Recorder, experiment: Experiment) -> None:
     """Run an experiment without verdicts at its end."""
-    with interruptible() as check:
-        with_messages = MessageRecorder(recorder, replace(experiment, identified={}))
-        _run(experiment, Watched(with_messages, lambda block, signals: check()))
+    run_into(recorder, replace(experiment, identified={}), progress=None, profile=None)
 
 
 def _run(experiment: Experiment, recorder: Recorder) -> None:
