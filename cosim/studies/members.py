@@ -26,8 +26,7 @@ from cosim.fmi.unpacked import UnpackedFmus
 from cosim.log.editing.joining import open_joined
 from cosim.log.foreign.topics import is_foreign
 from cosim.log.mcap_file.rotation import part_paths
-from cosim.report.comparing import results_of
-from cosim.report.summary import summarize
+from cosim.report.summary import results_of, summarize
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.recordings.recording import Target, build_experiment, record, run_rows
 from cosim.scenario.running.replay import replays_of

@@ -10,7 +10,7 @@ import typer
 
 import cosim
 from cosim.cli.app import COMMANDS
-from cosim.cli.command import Given, command, read_ranges, read_sweep
+from cosim.cli.command import command, read_ranges, read_variations
 from cosim.errors import UsageError, shell_language
 
 
@@ -112,14 +112,9 @@ def _names(text):
     return [*read, *handed_on]
 
 
-def test_some_values_are_handed_on():
-    """By name, and no others."""
-    assert Given(a=1, b=2, c=3).only("a c") == {"a": 1, "c": 3}
-
-
 def test_values_are_toml_where_they_can_be():
     """Those of --set and --vary; ranges of a tuning are linear unless they say otherwise."""
-    found = read_sweep(["a.x = 1e3, 2", "a.kind=sine,step", "a.L=[[1.0]],[[2.0]]"], "vary")
+    found = read_variations(["a.x = 1e3, 2", "a.kind=sine,step", "a.L=[[1.0]],[[2.0]]"], "vary")
     assert found == {"a.x": [1e3, 2], "a.kind": ["sine", "step"], "a.L": [[[1.0]], [[2.0]]]}
     found = read_ranges(["a.x=0:1", "a.y=log:1:2", "a.z=linear:1:2", "a=[a.fmu,b.fmu]"], "vary")
     assert found == {
@@ -143,4 +138,4 @@ def test_values_are_toml_where_they_can_be():
 def test_wrong_values_are_refused(texts, message):
     """The message names the key."""
     with shell_language(), pytest.raises(UsageError, match=message):
-        read_sweep(texts, "vary")
+        read_variations(texts, "vary")

@@ -21,8 +21,8 @@ def test_table_and_log_have_estimates_and_reasons(tmp_path, call):
     assert code == 0
     for pattern in (
         r"mass\.y\t0\.0337\t3\.3 s\t\S+\t1\.02",
-        r"no error\tjump.y: identical in all three runs",
-        r"no estimate\tlate\.y: jump\.y jumps between .*quarter.* t = 1\.005 s.*",
+        r"jump\.y\t0\t\S+ s\t\+0\t\tidentical in all three runs",
+        r"late\.y\t\t\t\t\tno estimate: jump\.y jumps between .*quarter.* t = 1\.005 s.*",
         r"mass\.y\terror \S+ at the end, of which \S+ \([89]\d %\) is coupling error",
     ):
         assert re.search(f"^{pattern}$", output, re.M), pattern

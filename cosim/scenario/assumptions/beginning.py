@@ -25,11 +25,11 @@ from cosim.scenario.building.experiment import Experiment, warnings_among
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.places import Problem
 from cosim.scenario.kinds.build_record import DependsOnInvalid
-from cosim.scenario.kinds.control import SensorKind
+from cosim.scenario.kinds.capabilities import change_text, changed_states
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.identified_plant import diagonal_covariance, stated_covariance
-from cosim.scenario.kinds.initial_states import change_text, changed_states
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
+from cosim.scenario.kinds.parts import SensorKind
 from cosim.scenario.kinds.regressor import RegressorKind
 from cosim.scenario.kinds.sources import DisturbanceKind
 from cosim.scenario.kinds.terms import FamilyTerm

@@ -13,7 +13,6 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
-from cosim.blocks.compensator import Compensator
 from cosim.core.port import Port
 from cosim.errors import AssumptionError, UsageError
 from cosim.native.numerics.householder import triangle
@@ -26,7 +25,7 @@ from cosim.scenario.assumptions.beginning import (
 )
 from cosim.scenario.kinds.base import BuildContext
 from cosim.scenario.kinds.build_record import DependsOnInvalid
-from cosim.scenario.kinds.compensators import CompensatorKind, observer_in_loop
+from cosim.scenario.kinds.compensators import CompensatorDesign, CompensatorKind
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.identified_plant import IdentifiedPlant, IdentifierSource
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
@@ -34,7 +33,6 @@ from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
 from cosim.scenario.kinds.variants import LINEAR_METHODS
 from cosim.theory.assessment.accuracy import STEPS_CHECKED
 from cosim.theory.compensation.activation import Activation
-from cosim.theory.compensation.design import CompensatorGains
 from cosim.theory.compensation.state_feedback import slowest_rate, unreached_modes
 from cosim.theory.compensation.steady_input import KnownDisturbance, steady_input
 from cosim.theory.compensation.transmission_zeros import check_zeros
@@ -431,14 +429,8 @@ class _Compensation(_Checked):
         return verdicts
 
     @cached_property
-    def _gains(self) -> CompensatorGains:
-        return self.kind.gains(self.name, self.context)
-
-    @cached_property
-    def _compensator(self) -> Compensator:
-        context = self.context
-        observed = observer_in_loop(self.name, context)
-        return self.kind.compensator(observed, context, self._gains)
+    def _design(self) -> CompensatorDesign:
+        return self.kind.design(self.name, self.context)
 
     @cached_property
     def _identifier(self) -> str | None:
@@ -455,7 +447,7 @@ class _Compensation(_Checked):
         return self.beginning.theta_behind(self._identifier)
 
     def _feedback(self) -> Evidence:
-        plant, K = self.kind.state_feedback(self.name, self.context)
+        plant, K = self._design.feedback
         eigenvalues = np.linalg.eigvals(plant.A - plant.B @ K).astype(np.complex128)
         fixed = unreached_modes(plant)
         n = len(plant.A)
@@ -471,7 +463,7 @@ class _Compensation(_Checked):
         }
 
     def _zeros(self) -> Evidence:
-        gains = self._gains
+        gains = self._design.gains
         zeros = gains.plant.zeros
         values: dict[str, Any] = {"zeros": plain_modes(zeros)}
         evidence = f"transmission zeros from u to the regulated outputs: {modes(zeros)}"
@@ -490,8 +482,8 @@ class _Compensation(_Checked):
     def _stability(self) -> Evidence:
         held = self.beginning.graph.held[self.name]
         h = self.beginning.clock.h
-        certified = self._compensator.certified(h, held)
-        self.beginning.designs[self.name] = self._compensator.design(certified, h)
+        certified = self._design.compensator.certified(h, held)
+        self.beginning.designs[self.name] = self._design.compensator.design(certified, h)
 
         def margin(what: str, rate: float) -> str:
             return (
@@ -512,12 +504,13 @@ class _Compensation(_Checked):
         proven = "proven"
         if certified.theta:
             varies = "theta that varies" if certified.cells == 1 else "constant theta"
-            proven += f" for every {varies} in {self._gains.box.text}, in {certified.cells} cell(s)"
+            box = self._design.gains.box
+            proven += f" for every {varies} in {box.text}, in {certified.cells} cell(s)"
         slowest = margin("with it", certified.rate) + _where(certified.theta)
         return f"{proven}; {before}; {slowest}", values
 
     def _activation(self) -> Evidence:
-        box = self._gains.box
+        box = self._design.gains.box
         if not len(box.lower):
             return "the class has no parameter: the internal model is active from the start", {}
         largest_error = self.kind.largest_error
@@ -577,8 +570,8 @@ class _Compensation(_Checked):
         return bound.standard_error
 
     def _limits(self) -> Evidence:
-        lower = self._compensator.options.lower
-        upper = self._compensator.options.upper
+        lower = self._design.compensator.options.lower
+        upper = self._design.compensator.options.upper
         needed = self._needed_input()
         values: dict[str, Any] = {}
         parts = []
@@ -607,10 +600,10 @@ class _Compensation(_Checked):
         delta = self.beginning.delta
         if theta is None or delta is None or not self.kind.internal_model:
             return None
-        families = self.kind.families(self.name, self.context)
+        families = self._design.families
         ends = np.cumsum([len(family.parameters) for family in families])
         known = KnownDisturbance(families, np.split(theta, ends[:-1]), delta, self.context.h)
-        plant, _ = self.kind.state_feedback(self.name, self.context)
+        plant, _ = self._design.feedback
         return steady_input(plant, known)
 
 

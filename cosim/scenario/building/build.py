@@ -44,7 +44,7 @@ from cosim.scenario.building.parsing import Scenario, read
 from cosim.scenario.document.document import Document
 from cosim.scenario.document.places import Key, Problem
 from cosim.scenario.document.problems import TableProblems
-from cosim.scenario.document.swaps import MapEntry, ports_in, unknown_ports
+from cosim.scenario.document.swaps import Map, ports_in, unknown_ports
 from cosim.scenario.kinds import Kind
 from cosim.scenario.kinds.base import BuildContext, PeriodicKind, clock_of
 from cosim.scenario.kinds.build_record import (
@@ -53,9 +53,14 @@ from cosim.scenario.kinds.build_record import (
     NotImported,
     Origins,
 )
-from cosim.scenario.kinds.capabilities import Advising, HasGivenStates, HasSamples, RenamesMore
+from cosim.scenario.kinds.capabilities import (
+    Advising,
+    GivenStates,
+    HasGivenStates,
+    HasSamples,
+    RenamesMore,
+)
 from cosim.scenario.kinds.identified_plant import IdentifiedPlant
-from cosim.scenario.kinds.initial_states import GivenStates
 from cosim.scenario.kinds.models import form_problems
 from cosim.scenario.kinds.plants import DescriptorKind
 from cosim.scenario.record import component_record
@@ -133,8 +138,8 @@ class Builder:
         self._check_models()
         self._wrong: set[str] = set()  # components with problems that do not stop their build
         for name, interface in self._replaced.items():
-            entries = scenario.maps.get(name, [])
-            self.problems += unknown_ports(scenario.tree, entries, interface)
+            own = scenario.maps.get(name, {})
+            self.problems += unknown_ports(scenario.tree, name, own, interface)
         for name, spec in scenario.specs.items():
             self._build(name, spec)
         self._drop_repeated_problems()
@@ -270,29 +275,26 @@ class Builder:
                 self.context.add_metadata(name, {"code": record.code.model_dump(by_alias=True)})
             return Replay(recording, name)  # recorded under the scenario's names
         component = spec.build(name, self.context)
-        entries = self.scenario.maps.get(name)
-        if entries:
-            component = self._renamed(name, spec, component, entries)
+        own = self.scenario.maps.get(name)
+        if own:
+            component = self._renamed(name, spec, component, own)
         return with_units(component, spec.units_of(component.interface))
 
-    def _renamed(
-        self, name: str, spec: Kind, component: Component, entries: Sequence[MapEntry]
-    ) -> Component:
+    def _renamed(self, name: str, spec: Kind, component: Component, own: Map) -> Component:
         """Show a swapped component under the scenario's names; add the problems of its map."""
         from cosim.blocks.renamed import Renamed  # rarely needed
         from cosim.blocks.renaming import resolve
 
-        given = [entry.renaming for entry in entries]
-        renamings: Sequence[Renaming] = given
+        renamings: Sequence[Renaming] = list(own.values())
         if isinstance(spec, RenamesMore):
-            renamings = spec.renamings(component.interface, given)
+            renamings = spec.renamings(component.interface, renamings)
         replaced = self._replaced.get(name)
         self.port_maps[name], problems = resolve(component.interface, renamings, replaced)
-        for entry in entries:
-            port = entry.renaming.port
+        for key, renaming in own.items():
+            port = renaming.port
             text = problems.pop(port, None) or problems.pop(port.whole, None)
             if text is not None:
-                self.problems.append((entry.key, text))
+                self.problems.append((key, text))
                 self._wrong.add(name)
         return Renamed(component, self.port_maps[name])
 
@@ -627,7 +629,7 @@ class Builder:
         if isinstance(component, Replay) and name in self._declared:
             lacking = frozenset(self._declared[name].interface.input_names - held.keys())
         held |= dict.fromkeys(lacking, False)
-        texts = spec.advice(name, self.context, held=held, h=self.clock.h)
+        texts = spec.advice(name, self.context, held)
         return [] if lacking else texts
 
 

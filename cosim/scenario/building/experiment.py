@@ -19,8 +19,8 @@ from cosim.instants import step_value
 from cosim.log.contents.metadata import encode_design
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.kinds.base import BuildContext
+from cosim.scenario.kinds.capabilities import GivenStates
 from cosim.scenario.kinds.identified_plant import IdentifiedPlant
-from cosim.scenario.kinds.initial_states import GivenStates
 from cosim.scenario.record import ReplayOrigin
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from cosim.scenario.document.places import Key, Problem
 from cosim.scenario.document.problems import TableProblems, problems_of
 from cosim.scenario.document.schema import ActionTable, ConnectionTable, File
 from cosim.scenario.document.swaps import (
-    MapEntry,
+    Map,
     PortNames,
     record_inputs,
     resolve_maps,
@@ -49,7 +49,7 @@ class Scenario:
     implied : mapping of Port to Port or None
         Inputs that [connections] leaves open, and the ones that they share their sources with;
         None: they follow from the component's own table.
-    maps : mapping of component name to list of MapEntry
+    maps : mapping of component name to Map
         Of the swapped components.
     tree : mapping
         The tables as they stand in the file, edits applied.
@@ -71,7 +71,7 @@ class Scenario:
     specs: Mapping[str, Kind]
     connections: Mapping[Port, Connection]
     implied: Mapping[Port, Port | None]
-    maps: Mapping[str, list[MapEntry]]
+    maps: Mapping[str, Map]
     tree: Mapping[str, Any]
     parse: Callable[[Document], Scenario] = field(repr=False, compare=False)
     invalid: frozenset[Key] = frozenset()

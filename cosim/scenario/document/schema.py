@@ -419,3 +419,10 @@ def matrix(rows: NumberRows, name: str) -> np.ndarray[Any, np.dtype[np.float64]]
             f"{lengths}"
         )
     return np.array(rows, dtype=np.float64)
+
+
+def array_of(rows: NumberRow | NumberRows, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Convert a row to a vector, or rows to a matrix; ValueError as of :func:`matrix`."""
+    if rows and isinstance(rows[0], tuple):
+        return matrix(tuple(row for row in rows if isinstance(row, tuple)), name)
+    return np.array(rows, np.float64)

@@ -20,7 +20,7 @@ from cosim.scenario.document.document import plain, short
 from cosim.scenario.experiment_design.trial import DesignSubject, Trial
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.identified_plant import OUTPUT_ERROR
-from cosim.scenario.kinds.reconstruction import DEFAULT_ORDER, FILTERS
+from cosim.scenario.kinds.observer_design import DEFAULT_ORDER, FILTERS
 from cosim.scenario.running.execution import load
 from cosim.theory.experiment_design.delay_search import search_delays
 from cosim.theory.experiment_design.predictions import PredictedEstimate, RegressionExperiment

@@ -25,7 +25,6 @@ from cosim.errors import UsageError, option
 from cosim.scenario.assumptions.beginning import disturbance_among, noise_of, parameters_by_term
 from cosim.scenario.building.build import Builder
 from cosim.scenario.building.parsing import Scenario
-from cosim.scenario.kinds.control import SensorKind
 from cosim.scenario.kinds.field_data import FieldDataKind
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.identified_plant import (
@@ -35,6 +34,7 @@ from cosim.scenario.kinds.identified_plant import (
     inputs_in_feedback,
 )
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
+from cosim.scenario.kinds.parts import SensorKind
 from cosim.scenario.kinds.plants import RecordingKind
 from cosim.scenario.kinds.regressor import RegressorKind
 from cosim.scenario.kinds.sources import NoiseKind

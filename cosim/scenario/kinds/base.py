@@ -29,7 +29,7 @@ from cosim.instants import StepNs, step_seconds, step_value
 from cosim.scenario.document.document import Document
 from cosim.scenario.document.places import Key
 from cosim.scenario.document.schema import AnyUnit, File, Settings, StepTime, TomlTable
-from cosim.scenario.document.swaps import MapEntry, ports_in
+from cosim.scenario.document.swaps import Map, ports_in
 from cosim.scenario.kinds.build_record import TABLES_ALONE, DependsOnInvalid, Origins
 from cosim.scenario.kinds.loading import CodeLoading
 from cosim.scenario.kinds.models import LETTERS, system_of, system_of_file
@@ -311,7 +311,7 @@ class ScenarioTables(Protocol):
         ...
 
     @property
-    def maps(self) -> Mapping[str, list[MapEntry]]:
+    def maps(self) -> Mapping[str, Map]:
         """Of the swapped components."""
         ...
 
@@ -452,15 +452,12 @@ class BuildContext(CodeLoading):
                 self.model_records[name] = plain(record)
                 return record.arrays
         # rarely needed
-        from cosim.scenario.data_files.mat_file import missing_text, read_model_file
+        from cosim.scenario.data_files.mat_file import read_model_file
 
-        content = read_model_file(self.file(path), LETTERS)
-        missing = [letter for letter in ("A", "C") if letter not in content.matrices]
-        if missing:
-            raise UsageError(missing_text(path, content, missing))
-        matrices = {letter: rows.tolist() for letter, rows in content.matrices.items()}
-        self.model_records[name] = {"file": path, "sha256": content.sha256, "matrices": matrices}
-        return content.matrices
+        matrices, sha256 = read_model_file(self.file(path), LETTERS)
+        written = {letter: rows.tolist() for letter, rows in matrices.items()}
+        self.model_records[name] = {"file": path, "sha256": sha256, "matrices": written}
+        return matrices
 
     def spec(self, name: str) -> Kind:
         """Return the table of another component, and record that it was read."""
@@ -551,8 +548,8 @@ class BuildContext(CodeLoading):
     def mapped(self, name: str) -> list[Port]:
         """Return the ports of a swapped component that its map names."""
         ports: list[Port] = []
-        for entry in self._scenario.maps.get(name, []):
-            ports += entry.renaming.sources
+        for renaming in self._scenario.maps.get(name, {}).values():
+            ports += renaming.sources
         return ports
 
     def of_kind(self, kind: type[AnyKind]) -> dict[str, AnyKind]:

@@ -29,7 +29,6 @@ from cosim.errors import AssumptionError, UsageError
 from cosim.instants import StepNs
 from cosim.native.estimation.rayleigh import MOST_TERMS
 from cosim.scenario.document.schema import Flag, Limit, Number, NumberRow, NumberRows, StepTime
-from cosim.scenario.kinds.alphas import alpha_connections
 from cosim.scenario.kinds.base import BuildContext, ExportableKind, Kind, PeriodicKind, Wiring
 from cosim.scenario.kinds.capabilities import DecidedByStep
 from cosim.scenario.kinds.identified_plant import (
@@ -42,8 +41,9 @@ from cosim.scenario.kinds.identified_plant import (
     sampled_behind,
     stated_covariance,
 )
-from cosim.scenario.kinds.reconstruction import delta_transient
+from cosim.scenario.kinds.observer_design import delta_transient
 from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
+from cosim.scenario.kinds.terms import alpha_connections
 from cosim.scenario.kinds.values import ImpliedConnection, shared_connections
 from cosim.scenario.kinds.variants import (
     LINEAR_METHODS,

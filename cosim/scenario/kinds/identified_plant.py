@@ -26,8 +26,8 @@ from cosim.native.numerics.programs import evaluate_at
 from cosim.scenario.document.schema import Limit, Number, TomlTable
 from cosim.scenario.kinds.base import BuildContext, Kind
 from cosim.scenario.kinds.capabilities import HasSamples
+from cosim.scenario.kinds.observer_design import AnyReconstruction
 from cosim.scenario.kinds.observers import DesignedObserver, UnknownInputObserverKind
-from cosim.scenario.kinds.reconstruction import AnyReconstruction
 from cosim.scenario.kinds.regressor import RegressorKind
 from cosim.scenario.kinds.values import ImpliedConnection
 from cosim.theory.assessment.accuracy import check_step

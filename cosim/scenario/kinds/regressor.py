@@ -22,18 +22,20 @@ from cosim.native.estimation.alphas import Alpha, AlphaSignal, PastAlphas, signa
 from cosim.native.estimation.rayleigh import MOST_TERMS
 from cosim.native.estimation.regression import RegressorConstants
 from cosim.scenario.document.schema import NumberRow
-from cosim.scenario.kinds.alphas import (
+from cosim.scenario.kinds.base import BuildContext, ExportableKind, Kind, Wiring
+from cosim.scenario.kinds.terms import (
     ALPHA,
+    FamilyTerm,
     KnownAlphas,
     TermAlpha,
     alpha_connections,
     alphas_of,
+    element_count,
+    families_of,
     known_functions,
     signals_of,
     unchecked,
 )
-from cosim.scenario.kinds.base import BuildContext, ExportableKind, Kind, Wiring
-from cosim.scenario.kinds.terms import FamilyTerm, element_count, families_of
 from cosim.scenario.kinds.values import ImpliedConnection, KnownSignal, Spectrum
 from cosim.theory.disturbances import regression
 from cosim.theory.disturbances.distinguishable import check_distinguishable, check_exchangeable

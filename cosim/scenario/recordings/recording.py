@@ -145,22 +145,22 @@ def build_experiment(
     ScenarioError
         With every problem of the file; or if the coupling of a loop is refused.
     """
+    if scenario.file.swap and reports is None:
+        from cosim.scenario.recordings.swap_comparison import compare_swaps  # few runs need it
+
+        reports = compare_swaps(scenario, unpacked)
+        reports.check()
+    replaced = None if reports is None else reports.replaced
 
     def build() -> Experiment:
-        return Builder(scenario, resources, Origins(unpacked=unpacked)).experiment()
-
-    if scenario.file.swap and reports is None:
-        from cosim.scenario.recordings.swap_comparison import build_swapped  # few runs need it
-
-        experiment, reports = build_swapped(scenario, resources, unpacked)
-    else:
-        experiment = build()
+        builder = Builder(scenario, resources, Origins(unpacked=unpacked), replaced=replaced)
+        return with_reports(builder.experiment(), reports)
 
     def rebuild() -> Experiment:
         resources.close()
-        return with_reports(build(), reports)
+        return build()
 
-    experiment = with_loop_gains(with_reports(experiment, reports), rebuild)
+    experiment = with_loop_gains(build(), rebuild)
     experiment.setting_designs = experiment.prepare_settings({})
     return experiment
 
@@ -319,9 +319,7 @@ def run_into(
 
 def run_rows(recorder: Recorder, experiment: Experiment) -> None:
     """Run an experiment without verdicts at its end."""
-    with interruptible() as check:
-        with_messages = MessageRecorder(recorder, replace(experiment, identified={}))
-        _run(experiment, Watched(with_messages, lambda block, signals: check()))
+    run_into(recorder, replace(experiment, identified={}), progress=None, profile=None)
 
 
 def _run(experiment: Experiment, recorder: Recorder) -> None:

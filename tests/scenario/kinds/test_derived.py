@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.errors import NonFiniteError, ScenarioError
+from cosim.errors import ScenarioError
 from cosim.report.verification import verify
 from tests.scenario.refusals import check_refused
 
@@ -81,12 +81,6 @@ def test_optional_allows_signals_without_a_value(tmp_path):
     path.write_text(text.replace("[connections]", table.format("false") + "\n[connections]"))
     with pytest.raises(ScenarioError, match=r"components\.d: .*identifier\.theta"):
         cosim.run(path)
-
-
-def test_a_value_that_is_not_finite_stops_the_run(tmp_path):
-    """As everywhere, where it is not said that there may be no value."""
-    with pytest.raises(NonFiniteError, match=r"'d\.y' became nan at t = "):
-        cosim.run(file(tmp_path, 'y = "sqrt(x.y)"'))
 
 
 def test_it_is_held_where_its_signals_are(tmp_path):

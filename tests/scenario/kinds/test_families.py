@@ -60,18 +60,15 @@ WRONG_TERMS = [
     ('family = "sinus", theta = 1.0', r"did you mean 'sine'"),
     ('family = "chirp", theta = 1.0', r"'chirp'"),
     ('family = "exponential"', r"'exponential': expected 1 .*got 0 numbers"),
-    ('family = "sine", theta = [1.0, 2.0]', r"expected 1 \(rate\), got 2 numbers: 1, 2"),
     ('family = "damped-sine", theta = 1.0', r"expected 2 \(decay, rate\), got 1 number: 1"),
     ('family = "constant", theta = 1.0, level = 1.0', r"expected none, got 1 number: 1"),
     ('family = "constant"', r"level is missing; family 'constant'"),
     ('family = "ramp", constants = [1.0, 2.0]', r"constants: .*available: level, slope"),
     ('family = "polynomial", degree = 1, level = 1.0', r"level: .*'polynomial'.*: constants"),
     ('family = "polynomial", degree = 2, constants = [1.0]', r"expected 3 .*got 1 number: 1"),
-    ('family = "ramp", level = 1.0', r"slope is missing; family 'ramp'"),
-    ('family = "ramp", amplitude = 1.0', r"amplitude: not a constant of family 'ramp'"),
     ('family = "exponential", theta = 1.0, phase = 1.0', r"phase: .*'exponential'"),
     ('family = "polynomial", constants = [1.0]', r"degree is missing; family 'polynomial'"),
-    ('family = "polynomial", degree = 9, constants = [1.0]', r"degree: expected 0 to 8, got 9"),
+    ('family = "polynomial", degree = 9, constants = [1.0]', r"degree: expected .* <= 8, got 9"),
     ('family = "ramp", degree = 1, level = 1.0, slope = 1.0', r"degree: .*'polynomial' only"),
     ('family = "linear", c = [1.0], constants = [1.0]', r"G0 is missing; family 'linear'"),
     (f"{LINEAR}, G0 = [[0, 1], [0]]", r"G0: .*\[2, 1\]"),
@@ -282,19 +279,14 @@ def test_output_error_needs_no_independent_products(terms, tmp_path):
 
 
 CONSTANT = {"family": "constant", "level": 1.0}
-RAMP = {"family": "ramp", "level": 1.0, "slope": 1.0}
 SINE = {"family": "sine", "theta": 1.0}
-DECAY = {"family": "exponential", "theta": -1.0}
 FOUR = exponentials(-0.05, -0.3, -0.8, -2.0)
 # exp(0.5 t) times the one is the other: (-0.1, -0.3) and (-0.8, 0.4) make the same signal
 EXCHANGED = [{**PERIODIC[0], "alpha": "2"}, {**PERIODIC[1], "alpha": "-exp(-0.5*t)"}]
 UNKNOWNS = r'l = 4 with different alphas makes 119 unknowns.*method = "output-error"'
 INDISTINGUISHABLE = [
     ([CONSTANT, CONSTANT], "", r"terms\[0\] \(constant\) and terms\[1\] \(constant\) sha"),
-    ([RAMP, CONSTANT], "", r"both make a constant.*family 'ramp' is the sum of both"),
-    ([SINE, CONSTANT], "bounds = [[0, 0]]", r"both make a constant.*merge them into one"),
     ([SINE, CONSTANT], "bounds = [[0, 1e-3]]", r"is a straight line in the 12 s of the run"),
-    ([DECAY, DECAY], "bounds = [[-1, -1], [-1, -1]]", r"both make exp\(-1 t\): no data tell"),
     (EXCHANGED, "", r"regressor: .*'2' is a multiple of exp\(0\.5 t\) times alpha .* parameters"),
     # the linear route, from four alphas on; output error needs no independent products
     *((FOUR, f'method = "{method}"', UNKNOWNS) for method in ("least-squares", "gradient", "drem")),
@@ -306,7 +298,7 @@ def test_terms_that_no_data_or_not_this_method_tells_apart_are_refused(tmp_path)
     """Before the run, by families, alphas and bounds."""
 
     def refuse(terms, more):
-        count = 1 + sum(2 if term["family"] in ("ramp", "sine") else 1 for term in terms)
+        count = 1 + sum(2 if term["family"] == "sine" else 1 for term in terms)
         spacing = 1.0 if terms in (PERIODIC, EXCHANGED) else 0.4
         delays = [round(spacing * (j + 1), 1) for j in range(count)]
         cosim.run(identified(tmp_path, terms, delays, more))

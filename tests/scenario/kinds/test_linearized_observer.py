@@ -17,7 +17,12 @@ from cosim.fmi.linearizing.request import LinearizationRequest
 from cosim.fmi.reading.model_description import read
 from cosim.scenario.assumptions.report import check_assumptions
 from cosim.scenario.exporting import export_component
-from cosim.scenario.kinds.linearizing import MovingModel, design_model, model_toml, split
+from cosim.scenario.kinds.observer_design import (
+    MovingModel,
+    design_model,
+    model_toml,
+    split,
+)
 from tests.fmi.pendulum import FRICTION, G, jacobian, pendulum
 from tests.scenario.fmu_edits import rewritten
 from tests.scenario.refusals import check_refused

@@ -111,14 +111,9 @@ def test_a_recorded_component_needs_rows_where_the_run_has_points(logs):
 
 UNFIT = [
     ({"start_time": -1.0}, r"scenario\.start_time'?\]?: .*>= 0 s, got -1\.0 s"),
-    (
-        {"start_time": 1.5e-9},
-        r"scenario\.start_time'?\]?: 1\.5e-09 s is not a whole number of",
-    ),
-    ({"start_time": 40.0}, r"scenario\.stop'?\]?: .* start_time = 40\.0 s, got 20\.0 s"),
+    ({"start_time": 1.5e-9}, r"scenario\.start_time'?\]?: 1\.5e-09 s is not a whole number of"),
     ({"start_time": 20.0}, r"scenario\.stop'?\]?: .* start_time = 20\.0 s, got 20\.0 s"),
     ({"start_time": 0.0005}, r"stop: 20\.0 s is not .* nearest: (20\.0005|19\.9995) s"),
-    ({"start_time": "soon"}, r"start_time'?\]?: .*number"),
 ]
 
 

@@ -10,9 +10,10 @@ from cosim.scenario.recordings.port_comparison import (
     INITIAL,
     NOMINAL,
     START,
-    ComparedComponent,
-    compare_components,
+    compare,
+    describe,
     rate_between,
+    responses_at,
 )
 
 ABLE = {"kind": "model exchange", **dict.fromkeys(CAPABILITIES, True)}
@@ -36,7 +37,7 @@ AFTER = Interface(
 
 def verdicts(before, after, **options):
     """Compare by name; return the verdicts by (port, aspect)."""
-    rows = compare_components(before, after, **options)
+    rows = compare(before, after, **options)
     return {(row.port, row.aspect): row.verdict for row in rows}
 
 
@@ -45,13 +46,11 @@ def test_every_aspect_has_a_verdict():
 
     Units that convert differ, units of one meaning do not.
     """
-    before = ComparedComponent(
+    before = describe(
         BEFORE, ABLE, {START: {"u": np.array([1.0])}, INITIAL: {"s": np.array([2.0])}}
     )
     able = {**ABLE, "kind": "co-simulation", "rollback": False, "variable step": None}
-    after = ComparedComponent(
-        AFTER, able, {START: {"u": np.array([2.0])}, INITIAL: {"s": np.array([2e3])}}
-    )
+    after = describe(AFTER, able, {START: {"u": np.array([2.0])}, INITIAL: {"s": np.array([2e3])}})
     found = verdicts(before, after, refused={"delta", "x_a"})
     assert {key: verdict for key, verdict in found.items() if verdict != "ok"} == {
         ("u", "variability"): "differs",
@@ -71,51 +70,64 @@ def test_every_aspect_has_a_verdict():
     assert set(verdicts(before, before).values()) <= {"ok"}
 
 
-def test_values_are_compared_in_one_unit():
-    """2 m are 2000 mm; 2 mm are not 2 m."""
-    before = ComparedComponent(BEFORE, ABLE, {INITIAL: {"s": np.array([2.0])}})
-    for millimetres, verdict in ((2e3, "ok"), (2.0, "differs")):
-        after = ComparedComponent(AFTER, ABLE, {INITIAL: {"s": np.array([millimetres])}})
-        assert verdicts(before, after)["s", "initial output"] == verdict
+def alone(aspect, unit, values):
+    """Return a component of one port: an input where it has start values, else an output."""
+    nominal = tuple(values) if aspect == NOMINAL else ()
+    signal = Signal("p", len(values), unit=unit, nominal=nominal)
+    interface = Interface((signal,)) if aspect == START else Interface((), (signal,))
+    return describe(interface, ABLE, {} if nominal else {aspect: {"p": np.array(values)}})
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "verdict"),
-    [(1e-10, 5e-10, "differs"), (1e-10, 1e-10 * (1 + 1e-12), "ok"), (0.0, 1e-17, "ok")],
+    ("aspect", "before", "after", "verdict"),
+    [
+        # 2 m are 2000 mm; 2 mm are not 2 m
+        (INITIAL, ("m", [2.0]), ("mm", [2e3]), "ok"),
+        (INITIAL, ("m", [2.0]), ("mm", [2.0]), "differs"),
+        # each element in its unit
+        (INITIAL, (("m", "s"), [2.0, 1.0]), (("mm", "s"), [2e3, 1.0]), "ok"),
+        (INITIAL, (("m", "s"), [2.0, 1.0]), (("m", "ms"), [2.0, 1.0]), "differs"),
+        # capacitances in F are no rounding; what that leaves of 0 is no difference
+        (START, ("F", [1e-10]), ("F", [5e-10]), "differs"),
+        (START, ("F", [1e-10]), ("F", [1e-10 * (1 + 1e-12)]), "ok"),
+        (START, ("F", [0.0]), ("F", [1e-17]), "ok"),
+        # a factor of ten is the limit of sizes
+        (NOMINAL, ("m", [2.0]), ("mm", [2e4]), "ok"),
+        (NOMINAL, ("m", [2.0]), ("mm", [2.1e4]), "differs"),
+        (NOMINAL, ("m", [2.0]), ("mm", [1.9e2]), "differs"),
+    ],
 )
-def test_small_values_are_compared_by_their_size(before, after, verdict):
-    """Capacitances in F are no rounding; what that leaves of 0 is no difference."""
-    old, new = (
-        ComparedComponent(BEFORE, ABLE, {START: {"u": np.array([u])}}) for u in (before, after)
+def test_numbers_are_compared_in_one_unit(aspect, before, after, verdict):
+    """In that of the component before."""
+    assert verdicts(alone(aspect, *before), alone(aspect, *after))["p", aspect] == verdict
+
+
+@pytest.mark.parametrize(
+    ("units", "verdict"),
+    [(("m", "s"), "ok"), (("mm", "s"), "differs"), (("m", "V"), "error"), (None, "unknown")],
+)
+def test_the_worst_unit_of_an_element_is_that_of_the_port(units, verdict):
+    """An element of another kind cannot be connected."""
+    before, after = alone(INITIAL, ("m", "s"), [2.0, 1.0]), alone(INITIAL, units, [2.0, 1.0])
+    assert verdicts(before, after, refused={"p"})["p", "unit"] == verdict
+
+
+def test_what_neither_component_says_is_no_agreement():
+    """There is no row of that; where one of both says it, it is unknown."""
+    silent = describe(Interface((Signal("u"),), (Signal("y"),), {"y": None}), {"kind": "lag"})
+    telling = describe(
+        Interface((Signal("u"),), (Signal("y", unit="m", nominal=(2.0,)),)),
+        {"kind": "lag", "rollback": True},
+        {START: {"u": np.zeros(1)}, INITIAL: {"y": np.zeros(1)}},
+        first_order(-1.0, gain=1.0),
     )
-    assert verdicts(old, new)["u", "start value"] == verdict
-
-
-def test_each_element_is_compared_in_its_unit():
-    """2 m and 1 s are 2000 mm and 1 s; an element of another kind is an error or differs."""
-
-    def initial(units, values):
-        interface = Interface((), (Signal("y", 2, unit=units),))
-        return ComparedComponent(interface, ABLE, {INITIAL: {"y": np.array(values)}})
-
-    before = initial(("m", "s"), [2.0, 1.0])
-    found = verdicts(before, initial(("mm", "s"), [2e3, 1.0]))
-    assert (found["y", "unit"], found["y", "initial output"]) == ("differs", "ok")
-    found = verdicts(before, initial(("m", "ms"), [2.0, 1.0]))
-    assert (found["y", "unit"], found["y", "initial output"]) == ("differs", "differs")
-    assert verdicts(before, initial(("m", "V"), [2.0, 1.0]), refused={"y"})["y", "unit"] == "error"
-    assert verdicts(before, initial(None, [2.0, 1.0]))["y", "unit"] == "unknown"
-
-
-def test_sizes_are_compared_in_one_unit():
-    """A factor of ten is the limit; zeros and what is not known have no size."""
-    before = ComparedComponent(BEFORE, ABLE, {NOMINAL: {"s": np.array([2.0])}})
-    for millimetres, another in ((2e3, False), (2e4, False), (2.1e4, True), (1.9e2, True), (0, 0)):
-        after = ComparedComponent(AFTER, ABLE, {NOMINAL: {"s": np.array([millimetres])}})
-        rows = compare_components(before, after)
-        (row,) = [row for row in rows if (row.port, row.aspect) == ("s", "nominal")]
-        assert row.of_another_size == another
-        assert row.verdict == ("differs" if another else "ok")
+    found = verdicts(silent, telling)
+    unknown = {key for key, verdict in found.items() if verdict == "unknown"}
+    assert unknown >= {("y", "unit"), ("y", NOMINAL), ("u", START), ("", "rollback"), ("", "poles")}
+    assert found["y", "feedthrough"] == "differs"  # it decides the order of execution
+    said = verdicts(silent, silent)
+    assert {*unknown, ("y", "feedthrough")}.isdisjoint(said)
+    assert set(said.values()) == {"ok"}
 
 
 def first_order(a, *, gain, error=0.0):
@@ -133,13 +145,14 @@ def test_responses_and_poles_are_compared_within_their_error():
     rate = 2.0 * 2.0**0.5
 
     def component(system):
-        return ComparedComponent(interface, ABLE, system=system)
+        return describe(interface, ABLE, system=system)
 
     for gain in (4.0, 4e-12):
-        exact = component(first_order(-2.0, gain=gain))
-        assert rate_between(exact.system) == pytest.approx(rate)
+        system = first_order(-2.0, gain=gain)
+        exact = component(system)
+        assert rate_between(system) == pytest.approx(rate)
         for frequency in (0.0, rate):
-            found = exact.responses(frequency, exact)["y"]["u", "y"].value
+            ((found, _),) = responses_at(frequency, exact, units_of=exact).values()
             assert found == pytest.approx(gain / (2.0 + 1j * frequency), rel=1e-14)
         for error, verdict in ((0.0, "differs"), (1e-7, "ok")):
             close = component(first_order(-2.0 - 1e-7, gain=gain, error=error))
@@ -148,6 +161,14 @@ def test_responses_and_poles_are_compared_within_their_error():
             # at another rate only where static gains tell nothing
             response = "ok" if verdict == "ok" else None
             assert found.get(("y", f"response at {rate:.3g} rad/s")) == response
-    integrator = component(first_order(0.0, gain=1.0))
-    assert integrator.responses(0.0, integrator) is None
-    assert rate_between(integrator.system) == 1.0
+    # y is no element of a vector y: nothing can be said of its gains
+    two = Interface((Signal("u"),), (Signal("y", 2),))
+    ones = np.ones((2, 1))
+    twice = LinearSystem(-np.eye(1), np.eye(1), ones, 0.0 * ones, 0.0)
+    found = verdicts(exact, describe(two, ABLE, system=twice))
+    assert ("y", "static gain") not in found
+    assert found["y", "size"] == "differs"
+    system = first_order(0.0, gain=1.0)
+    integrator = component(system)
+    assert responses_at(0.0, integrator, units_of=integrator) is None
+    assert rate_between(system) == 1.0

@@ -7,16 +7,12 @@ import pytest
 
 import cosim
 from cosim.errors import ScenarioError
-from cosim.scenario.exporting import export_component
 from tests.scenario.signals import COARSE
 
 
-@pytest.fixture(scope="module")
-def plant(tmp_path_factory):
-    """Export the plant of the example as a real FMU: C source and binary."""
-    path = tmp_path_factory.mktemp("fmus") / "academic.fmu"
-    export_component("academic", "plant", path)
-    return path
+@pytest.fixture
+def plant(folder):
+    return folder / "plant.fmu"
 
 
 @pytest.mark.parametrize(

@@ -14,20 +14,8 @@ from cosim.errors import RunError, ScenarioError
 from cosim.fmi.binary.loaded import LoadedInstance
 from cosim.scenario.exporting import export_component
 from cosim.scenario.recordings.swap_comparison import compare_swaps
-from tests.scenario.swapping.renamed import packed, renamed
 
 SHORT = {"scenario.stop": 0.1}
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """Write the plant as it is, with other names, with a vector of outputs, and as a log."""
-    folder = tmp_path_factory.mktemp("plants")
-    export_component("academic", "plant", folder / "plant.fmu")
-    renamed(folder / "other.fmu")
-    packed(folder / "packed.fmu")
-    cosim.run("academic", set=SHORT, out=folder / "log.mcap")
-    return folder
 
 
 def report(folder, name, maps=None, **changes):
@@ -205,27 +193,9 @@ def test_units_that_convert_leave_no_warning_but_that_of_the_unit(milli):
     assert worst <= 1e3 * 8 * 2.3e-16 * abs(metres["plant.y"]).max()
 
 
-PAIR = """
-scenario = { name = "pair", stop = 0.1, step = 0.01 }
-[components]
-source = { kind = "sine", rate = 2.0, unit = "N" }
-part = { kind = "transfer-function", numerator = [NUMBER], denominator = [0.5, 1.0], unit = UNITS }
-after = { kind = "lag", time_constant = 0.3, unit = "m" }
-[connections]
-"part.u" = "source.y"
-"after.u" = "part.y"
-"""
-
-
-def pair(folder, number, units):
-    path = folder / f"{number}.toml"
-    path.write_text(PAIR.replace("NUMBER", number).replace("UNITS", units))
-    return path
-
-
 @pytest.mark.usefixtures("without_verdicts")
 def test_an_fmu_that_cannot_be_reset_is_loaded_again(folder, monkeypatch):
-    """Else one instance is compared, linearized and run; then the run has one of its own."""
+    """The run begins with what was loaded for it, and has the same bits."""
     swap = {"plant": folder / "plant.fmu"}
     reference = cosim.run("academic", swap=swap, set=SHORT)
 

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.errors import NonFiniteError, RunError, ScenarioError, UsageError
+from cosim.errors import RunError, ScenarioError, UsageError
 from cosim.log import open_log
 from cosim.report.inspection import describe_log, describe_scenario
 from cosim.report.summary import summarize
 from cosim.report.verification import verify
+from cosim.scenario.building.build import parse
+from cosim.scenario.document.document import Document
 from cosim.scenario.kinds import user_code
 from tests.scenario.refusals import check_refused
 from tests.scenario.user_modules import RELAY, THERMOSTAT, one, own_module, write
@@ -264,6 +266,24 @@ WRONG_MODULES = [
 ]
 
 
+NO_CLASS_NAMES = [
+    ("own", r"one\.toml:12: components\.own\.class: expected 'package\.module:Class', got 'own'$"),
+    ("own.Own", r"got 'own\.Own'; did you mean 'own:Own'\?$"),
+    ("own:", r"expected 'package\.module:Class', got 'own:'"),
+    ("a/own:Own", r"expected 'package\.module:Class', got 'a/own:Own'"),
+]
+
+
+def test_a_name_of_no_class_is_refused_before_anything_is_imported(tmp_path):
+    """At its line."""
+
+    def load(name):
+        document = one(tmp_path).document
+        parse(Document(document.text.replace("own:Own", name), "one.toml", tmp_path))
+
+    check_refused(NO_CLASS_NAMES, load, ScenarioError)
+
+
 def test_a_module_without_a_component_is_named_before_the_run(tmp_path):
     """With what it lacks, at its line."""
 
@@ -293,36 +313,3 @@ def test_an_exception_names_component_time_and_line(tmp_path, method, body, text
     while cause.__cause__ is not None:
         cause = cause.__cause__
     assert type(cause) in (ValueError, IndexError, ZeroDivisionError)
-
-
-WRONG_STEPS = [
-    ("advance", "return 1.0", r"float\b.*\(1, 1\)"),
-    ("advance", "return np.zeros(3)", r"float64.*\(3,\).*\(1, 1\)"),
-    ("advance", "return np.zeros((4, 2))", r"float64.*\(4, 2\).*\(1, 1\)"),
-    ("advance", "return np.zeros((1, 1), int)", r"int64.*\(1, 1\).*\(1, 1\)"),
-    ("advance", "return None", r"NoneType.*\(1, 1\)"),
-    # neither u nor t can be changed: they are rows of the run, which others read
-    ("initialize", "u[0] = 1.0", r"raised ValueError: .*read-only.* \(.*/own\.py, line 14\); "),
-    ("outputs", "u += 1.0", r"raised ValueError: .*read-only.* \(.*/own\.py, line 18\); "),
-    ("advance", "t[0] = 1.0", r"raised ValueError: .*read-only.* \(.*/own\.py, line 22\); "),
-    ("advance", "u.sort(axis=0)", r"raised ValueError: .*read-only.* \(.*/own\.py, line 22\); "),
-]
-
-
-def test_a_result_of_another_shape_and_a_changed_input_are_named(tmp_path):
-    """Beside what is expected, and the line."""
-
-    def run(method, body):
-        own_module(tmp_path, **{method: body})
-        cosim.run(one(tmp_path), block=1)
-
-    begin = r"^'own' stopped at t = 0\.0 s: "
-    cases = [(method, body, f"{begin}{method} .*{text}") for method, body, text in WRONG_STEPS]
-    check_refused(cases, run, RunError)
-
-
-def test_a_value_that_is_not_finite_is_named_at_its_time(tmp_path):
-    own_module(tmp_path, advance="return np.where(t[1:, np.newaxis] > 0.6, np.nan, u[1:])")
-    with pytest.raises(NonFiniteError) as error:
-        cosim.run(one(tmp_path))
-    assert str(error.value) == "'own.y' became nan at t = 0.75 s; everything before is kept"
