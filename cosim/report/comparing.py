@@ -44,6 +44,7 @@ from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.variants import METHODS, IdentificationMethod, foreign_keys
 from cosim.scenario.record import recorded_identification, truth_of
 from cosim.scenario.recordings.recording import Progress, Target, check_target
+from cosim.scenario.recordings.replay_request import ReplayRequest
 from cosim.scenario.running.combinations import check_varied, combination_text, combinations
 from cosim.scenario.running.execution import load, run
 from cosim.scenario.running.replay import Replays, replay, replays_of
@@ -759,8 +760,7 @@ def replay_sweep(
     callable_argument("progress", progress)
     force = truth_argument("force", force)
     with setting_arguments(set, stop=stop, verdicts=verdicts) as changes:
-        replays = replays_of(
-            log,
+        request = ReplayRequest(
             set=changes,
             swap=swap,
             map=map,
@@ -770,6 +770,7 @@ def replay_sweep(
             components=components,
             scenario=scenario,
         )
+        replays = replays_of(log, request)
         return sweep_of(replays, vary, out=out, force=force, progress=progress)
 
 
@@ -783,7 +784,7 @@ def sweep_of(
 ) -> ReplaySweep:
     """Replay with every combination of some values; parameters as of :func:`replay_sweep`."""
     rows = combinations(vary)
-    check_varied(replays.changes, rows[0])
+    check_varied(replays.request.changes, rows[0])
     names = [str(number) for number in range(1, len(rows) + 1)]
     targets = _targets(out, names, partial(replays.check_target, force=force))
     for values in rows:

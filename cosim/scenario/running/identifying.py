@@ -37,7 +37,8 @@ from cosim.scenario.kinds.identified_plant import (
     interval_of,
 )
 from cosim.scenario.record import component_record
-from cosim.scenario.recordings.replaying import rebuilt
+from cosim.scenario.recordings.replay_request import ReplayRequest
+from cosim.scenario.recordings.replaying import RebuiltRun
 from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.agreement import contradictions, each_alone
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
@@ -186,7 +187,7 @@ def identifier_record(log: CompleteRecording, identifier: str | None = None) -> 
         If it has no identifier of that name whose model output error can fit, or several.
     """
     with ExitStack() as resources:
-        experiment = rebuilt(log, resources)
+        experiment = RebuiltRun(log, ReplayRequest(), resources).experiment
         name = _chosen(log, experiment.identified, identifier)
         identified = experiment.identified[name]
         observer = identified.observer

@@ -13,7 +13,8 @@ from cosim.log.reading.container import MOST_ATTACHED
 from cosim.report.verification import verify
 from cosim.scenario.document.document import find, shipped
 from cosim.scenario.record import component_record, replay_origin
-from cosim.scenario.recordings import embedding
+from cosim.scenario.recordings import log_contents
+from cosim.scenario.recordings.replay_request import ReplayRequest
 from cosim.scenario.running.replay import replays_of
 from tests.fmi import lag
 from tests.fmi.compiled import compile_fmu
@@ -245,11 +246,11 @@ def test_a_plant_that_was_swapped_in_before_the_run_runs_again(folder):
 
 def test_an_fmu_that_is_too_large_is_refused_before_the_run(folder, monkeypatch, call):
     """By its size; the limit is what can be read back, less the head of an attachment's record."""
-    assert MOST_ATTACHED - 4096 == embedding.MOST_EMBEDDED
+    assert MOST_ATTACHED - 4096 == log_contents.MOST_EMBEDDED
     size = (folder / "lag.fmu").stat().st_size
-    monkeypatch.setattr(embedding, "MOST_EMBEDDED", size)
+    monkeypatch.setattr(log_contents, "MOST_EMBEDDED", size)
     assert run(folder, embed=True).status == "complete"
-    monkeypatch.setattr(embedding, "MOST_EMBEDDED", size - 1)
+    monkeypatch.setattr(log_contents, "MOST_EMBEDDED", size - 1)
     code, _, err = call("run", "fmu.toml", "--embed", "--out", "b.mcap")
     assert code == 2
     for text in (f"lag.fmu: has {size} bytes", f"at most {size - 1}; omit --embed"):
@@ -274,7 +275,7 @@ def test_a_run_of_another_plant_is_found_under_the_scenario_of_this_one(tmp_path
                 items.update({key: said[name][key] for key in items if key != "cosim.design"})
 
     log = forged(other, tmp_path / "forged.mcap", say)
-    anew = replays_of(log, rerun=True).designs()
+    anew = replays_of(log, ReplayRequest(rerun=True)).designs()
     verification = verify(log, cosim.replay(log, rerun=True), anew)
     assert verification.difference.equal
     found, *_ = verification.contradictions
