@@ -166,15 +166,12 @@ def _embedded_fmus(files: Mapping[str, Path]) -> list[Attachment]:
     attachments = []
     for sha256, path in files.items():
         try:
-            size = path.stat().st_size
-            if size > MOST_EMBEDDED:
-                raise FmuError(
-                    f"{path}: has {size} bytes, but a log takes FMUs of at most {MOST_EMBEDDED}; "
-                    f"omit {flag('embed')}"
-                )
             content = read_bounded(path, MOST_EMBEDDED)
         except OSError as error:
-            raise FmuError(f"{path} cannot be read: {error.strerror or error}") from error
+            reason = error.strerror or error
+            raise FmuError(
+                f"{path} cannot be put into the log: {reason}; omit {flag('embed')}"
+            ) from error
         if hashlib.sha256(content).hexdigest() != sha256:
             raise FmuError(f"{path}: changed while it was being read; try again")
         attachments.append(Attachment(embedded_name(sha256), "application/zip", content))

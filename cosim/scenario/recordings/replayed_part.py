@@ -32,7 +32,7 @@ from cosim.core.recorders import Memory
 from cosim.core.recording import CompleteRecording, Plan
 from cosim.core.signals import Layout
 from cosim.core.structure.cycles import strongly_connected
-from cosim.errors import LogError, UsageError, flag, listing, nearest, quoted
+from cosim.errors import LogError, UsageError, command, flag, listing, nearest, quoted
 from cosim.instants import step_seconds
 from cosim.log.contents.metadata import json_table
 from cosim.scenario.building.parsing import Scenario
@@ -102,9 +102,10 @@ def replayed_part(
         if name not in specs:
             raise UsageError(f"the log has no component {quoted(name)}; {nearest(name, specs)}")
         if name not in computable:
+            reason = way_out(specs[name]) or "its file is not part of the log"
             raise UsageError(
-                f"{name!r} cannot be computed, as a replay takes it from the log: "
-                f"{_why_recorded(specs[name])}; available: {listing(computable, 100)}"
+                f"{name!r} cannot be computed, as a replay takes it from the log: {reason}; "
+                f"available: {listing(computable, 100)}"
             )
     wanted = set(computable if chosen is None else chosen)
     partial = partial_of(source.channels)
@@ -120,11 +121,13 @@ def replayed_part(
     return part
 
 
-def _why_recorded(spec: Kind) -> str:
-    """Return why a component cannot be computed from a log."""
+def way_out(spec: Kind) -> str:
+    """Return how a component is computed that a replay takes from the log; empty: not at all."""
+    if spec.computable:
+        return "compute this component, too"
     if spec.code is not None:
-        return f"{flag('allow_code')} allows its code to run"
-    return f"{flag('rerun')} computes it" if spec.is_rerun else "its file is not part of the log"
+        return f"allow its code to run with {flag('allow_code')}"
+    return f"compute it, too: {command('replay')} with {flag('rerun')}" if spec.is_rerun else ""
 
 
 @final

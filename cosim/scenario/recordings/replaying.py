@@ -20,7 +20,7 @@ from cosim.core.port import Port
 from cosim.core.recorded.partial import declared_channels, partial_of
 from cosim.core.recording import CompleteRecording, SignalEvent
 from cosim.core.structure.cycles import reached_from
-from cosim.errors import LogError, ScenarioError, UsageError, command, flag, option
+from cosim.errors import LogError, ScenarioError, UsageError, option
 from cosim.instants import NANOSECONDS, step_value
 from cosim.log import Log
 from cosim.log.comparison.event_difference import OF_COMPONENTS
@@ -51,7 +51,7 @@ from cosim.scenario.recordings.recorded_scenario import (
 )
 from cosim.scenario.recordings.recording import with_reports
 from cosim.scenario.recordings.replay_request import ReplayRequest, ReplayWindow, window_of
-from cosim.scenario.recordings.replayed_part import replayed_part
+from cosim.scenario.recordings.replayed_part import replayed_part, way_out
 
 if TYPE_CHECKING:
     from cosim.fmi.unpacked import UnpackedFmus
@@ -395,7 +395,7 @@ class RebuiltRun:
                 return f"{name!r} is not in this replay: {reason}"
         for name in part.copied:
             if name in changed:
-                return f"{name!r} is taken from the recording; {self._remedy(name)}"
+                return f"{name!r} is taken from the recording; {self._way_out(name)}"
         for name in part.copied:
             text = ""
             if not changed.isdisjoint(behind[name]):
@@ -405,23 +405,17 @@ class RebuiltRun:
             if text:
                 return (
                     f"{text}; {name!r} is taken from the recording and cannot follow: "
-                    f"{self._remedy(name)}"
+                    f"{self._way_out(name)}"
                 )
         return ""
 
-    def _remedy(self, name: str) -> str:
+    def _way_out(self, name: str) -> str:
         """Return the way out where a recorded component would have to change."""
         spec = self.scenario.specs[name]
-        if name in self.part.uncomputed:
-            return self.part.uncomputed[name]
+        further = self.part.uncomputed.get(name) or way_out(spec)
         if spec.computable:
-            return "compute this component, too"
-        remedy = "run the scenario to change it"
-        if spec.code is not None:
-            return f"{remedy}, or allow its code to run with {flag('allow_code')}"
-        if spec.is_rerun:
-            remedy += f", or compute it, too: {command('replay')} with {flag('rerun')}"
-        return remedy
+            return further
+        return "run the scenario to change it" + (f", or {further}" if further else "")
 
 
 def _changed_tables(before: Mapping[str, Any], after: Mapping[str, Any]) -> set[str]:
