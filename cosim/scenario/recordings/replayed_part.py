@@ -195,9 +195,6 @@ class _PartSearch:
                 if is_whole and to not in faulty and source.component in self._partial.declared:
                     yield source, to
 
-    def _is_recorded_whole(self, name: str) -> bool:
-        return self._partial.is_whole(name, self._run.channels)
-
     # --- what follows from it ---
 
     def _settle(self) -> None:
@@ -246,13 +243,14 @@ class _PartSearch:
         for to in self._inputs.get(name, ()):
             if to not in self._kept:
                 return f"its input '{to}' comes from '{self._missing_source(to)}', {_NOT_RECORDED}"
-        for other in sorted(self._loops[name] - self._computed):
-            if not (self._is_recorded_whole(other) and self._has_all_inputs(other)):
-                return f"it is in a loop with {other!r}, which is not recorded completely"
-            if not self._is_recorded_whole(name):
+        loop = self._loops[name]
+        copied = loop - self._computed
+        for other in sorted(loop) if copied else ():
+            is_whole = self._partial.is_whole(other, self._run.channels)
+            if not is_whole or (other in copied and not self._has_all_inputs(other)):
                 return (
-                    f"it is in a loop with {other!r}, which is copied, and is not recorded "
-                    "completely"
+                    f"it is in a loop with {min(copied)!r}, which is copied, and {other!r} is not "
+                    "recorded completely"
                 )
         return ""
 
@@ -270,12 +268,12 @@ class _PartSearch:
         absent = {}
         shown: dict[str, set[str]] = {}  # the signals of copied components that are in the replay
         for name in self._scenario.specs:
-            if name not in self._computed:
-                shown[name] = self._shown(name)
-                if not shown[name]:
-                    del shown[name]
-                    reason = self._reasons.get(name, "a replay takes it from the log")
-                    absent[name] = f"{reason}; the log has no output of it at every step"
+            own = set() if name in self._computed else self._shown(name)
+            if own:
+                shown[name] = own
+            elif name not in self._computed:
+                reason = self._reasons.get(name, "a replay takes it from the log")
+                absent[name] = f"{reason}; the log has no output of it at every step"
         return ReplayedPart(
             self._reduced(absent, shown), self._copied(shown), tuple(shown), absent, self._reasons
         )

@@ -207,19 +207,6 @@ def test_a_shipped_scenario_is_replayed_from_what_is_recorded(name, tmp_path):
         check_bits(cosim.replay(part, set=ALL), log)
 
 
-@pytest.mark.parametrize(
-    ("name", "signal"),
-    [("academic", "observer.u"), ("closed-loop", "plant.u")],  # which feedback.u[0:2] follows
-)
-def test_overrides_reach_a_component_whichever_are_chosen(name, signal, tmp_path):
-    """Of a component from the log its rows know; one that is computed gets them again."""
-    with cosim.load(name).set(SHORT).start(out=tmp_path / "a.mcap") as session:
-        session.step(50)
-        session[signal] = 1.0
-        session.step(150)
-    check_each(cosim.open_log(tmp_path / "a.mcap"))
-
-
 # --- what is chosen of a whole log ---
 
 
@@ -438,9 +425,11 @@ def test_a_loop_is_computed_as_a_whole_or_beside_members_recorded_whole(loop):
     again = cosim.replay(loop(["plant.*", "pid.*", "setpoint.y"]), set=ALL, components=["pid"])
     assert set(again.channels) == {"setpoint", "pid", "plant"}
     check_bits(again, whole)
-    with pytest.raises(LogError, match="pid: it is in a loop with 'plant', which is not recorded"):
+    with pytest.raises(
+        LogError, match=r"pid: it is in a loop with .*, and 'plant' is not recorded"
+    ):
         cosim.replay(loop(["plant.y", "pid.*", "setpoint.y"]), components=["pid"])
-    with pytest.raises(LogError, match="with 'plant', which is copied, and is not"):
+    with pytest.raises(LogError, match=r"with 'plant', which is copied, and 'pid' is not"):
         cosim.replay(loop(["plant.*", "pid.y", "setpoint.y"]), components=["pid"])
 
 

@@ -9,7 +9,7 @@ import zipfile
 import pytest
 
 import cosim
-from cosim.errors import CosimError, FmuError, LogError, UsageError
+from cosim.errors import CosimError, FmuError, UsageError
 from cosim.log.reading.container import MOST_ATTACHED
 from cosim.report.verification import verify
 from cosim.scenario.document.document import find, shipped
@@ -64,21 +64,31 @@ def forged(log, path, change):
 
 def change_metadata(component, change):
     """Return what changes the metadata record of a component, or of the run."""
-
-    def changed(content):
-        for name, items in content.metadata:
-            if name == component:
-                change(items)
-
-    return changed
+    return lambda content: change(dict(content.metadata)[component])
 
 
-def replace_fmu(content, name, data):
-    """Put other bytes in the place of an embedded FMU."""
-    content.attachments = [
-        (name or old, data) if old.endswith(".fmu") else (old, own)
-        for old, own in content.attachments
-    ]
+def replace_fmu(data, sha256=None):
+    """Return what puts other bytes in the place of the FMU, and says another hash of it."""
+
+    def change(content):
+        items = dict(content.metadata)["cosim.component.plant"]
+        said = json.loads(items["metadata"])
+        items["metadata"] = json.dumps({**said, "sha256": sha256 or said["sha256"]})
+        content.attachments = [
+            (f"{sha256}.fmu" if sha256 else name, data) if name.endswith(".fmu") else (name, own)
+            for name, own in content.attachments
+        ]
+
+    return change
+
+
+def say_sha256(sha256):
+    """Return what changes the hash that the log says of its FMU."""
+
+    def change(items):
+        items["metadata"] = json.dumps({**json.loads(items["metadata"]), "sha256": sha256})
+
+    return change_metadata("cosim.component.plant", change)
 
 
 @pytest.mark.fast("pair", "academic", "closed-loop")
@@ -151,60 +161,28 @@ def test_no_fmu_runs_without_both_permissions(folder, embed, call):
     assert (folder / "mark").exists()
 
 
-def test_another_fmu_is_refused_by_name_before_it_runs(folder):
-    """In the log, and beside it."""
+def test_another_fmu_is_refused_by_name_before_it_runs(folder, subtests):
+    """In the log, or beside it; one whose hash is none, or fits an archive that leads out of it."""
     log = run(folder, embed=True)
-    sha256 = component_record(log, "plant").sha256
     other = (folder / "lag.fmu").read_bytes() + b"\0"
-    changed = forged(log, folder / "b.mcap", lambda content: replace_fmu(content, "", other))
-    message = f"the FMU of 'plant': the FMU in .*b.mcap: expected the SHA-256 {sha256}"
-    with pytest.raises(FmuError, match=message):
-        cosim.replay(changed, **BOTH)
-    log = run(folder)
-    (folder / "lag.fmu").write_bytes(other)
-    message = rf"the FMU of 'plant': lag\.fmu: .*{sha256} .*; it is not run"
-    with pytest.raises(FmuError, match=message):
-        cosim.replay(log, **BOTH)
-    assert not (folder / "mark").exists()
-
-
-def test_a_hash_that_is_none_is_refused(folder, subtests):
-    """It names an attachment and a file, so it has to be a hash."""
-    log = run(folder, embed=True)
-    for sha256 in ["../../evil", "0" * 63, "G" * 64, 3, None]:
-
-        def change(items, sha256=sha256):
-            items["metadata"] = json.dumps({**json.loads(items["metadata"]), "sha256": sha256})
-
-        with subtests.test(sha256=sha256):
-            name = "cosim.component.plant"
-            changed = forged(log, folder / "b.mcap", change_metadata(name, change))
-            with pytest.raises(LogError, match=r"SHA-256|sha256"):
-                cosim.replay(changed, **BOTH)
-            assert not (folder / "mark").exists()
-
-
-def test_an_embedded_archive_that_leads_out_is_refused(folder):
-    """With a hash that fits: whoever writes a log chooses that too."""
-    log = run(folder, embed=True)
-    archive = io.BytesIO()
-    with zipfile.ZipFile(archive, "w") as target, zipfile.ZipFile(folder / "lag.fmu") as source:
-        for member in source.namelist():
-            target.writestr(member, source.read(member))
+    archive = io.BytesIO(other)
+    with zipfile.ZipFile(archive, "a") as target:
         target.writestr("../../outside", "x")
     evil = archive.getvalue()
-    own = component_record(log, "plant").sha256
-    sha256 = hashlib.sha256(evil).hexdigest()
-
-    def lie(items):
-        items["metadata"] = items["metadata"].replace(own, sha256)
-
-    def change(content):
-        replace_fmu(content, f"{sha256}.fmu", evil)
-        change_metadata("cosim.component.plant", lie)(content)
-
-    with pytest.raises(UsageError, match="the archive has an entry that leads out of it"):
-        cosim.replay(forged(log, folder / "b.mcap", change), **BOTH)
+    sha256 = component_record(log, "plant").sha256
+    wrong = "SHA-256|sha256"
+    cases = [
+        (replace_fmu(other), f"the FMU of 'plant': the FMU in .*: expected the SHA-256 {sha256}"),
+        (replace_fmu(evil, hashlib.sha256(evil).hexdigest()), "has an entry that leads out of it"),
+        *((say_sha256(text), wrong) for text in ("../../evil", "0" * 63, "G" * 64, 3, None)),
+    ]
+    for number, (change, message) in enumerate(cases):
+        with subtests.test(number=number), pytest.raises(CosimError, match=message):
+            cosim.replay(forged(log, folder / "b.mcap", change), **BOTH)
+    log = run(folder)
+    (folder / "lag.fmu").write_bytes(other)
+    with pytest.raises(FmuError, match=rf"of 'plant': lag\.fmu: .*{sha256} .*; it is not run"):
+        cosim.replay(log, **BOTH)
     assert not (folder / "mark").exists()
     assert not list(folder.parent.rglob("outside"))
 
