@@ -1,4 +1,4 @@
-"""Replays that compute plants too: FMUs of the log only where that is allowed."""
+"""What a replay takes from its log: FMUs only where that is allowed, and designs; forged logs."""
 
 import hashlib
 import io
@@ -6,10 +6,13 @@ import json
 import re
 import zipfile
 
+import numpy as np
 import pytest
 
 import cosim
-from cosim.errors import CosimError, FmuError, UsageError
+from cosim.core import linear
+from cosim.errors import CosimError, FmuError, LogError, UsageError
+from cosim.log.contents.metadata import decode_design, encode_design
 from cosim.log.reading.container import MOST_ATTACHED
 from cosim.report.verification import verify
 from cosim.scenario.document.document import find, shipped
@@ -311,3 +314,51 @@ def test_the_scenario_of_another_run_with_the_same_components_is_found(tmp_path)
     content.messages = [m for m in content.messages if m[1] != 20_000_000]
     with pytest.raises(CosimError):
         cosim.replay(put_together(content, tmp_path / "c.mcap"))
+
+
+# --- designs ---
+
+
+@pytest.fixture(scope="module")
+def designed(tmp_path_factory):
+    """Record a run of an observer and an identifier, with a linear part beside them."""
+    changes = {
+        "scenario.stop": 0.05,
+        "components.lag": {"kind": "lag", "time_constant": 0.1},
+        "connections.lag.u": "u.y",
+    }
+    return cosim.run("academic", out=tmp_path_factory.mktemp("log") / "a.mcap", set=changes)
+
+
+def test_no_design_that_is_recorded_is_computed(designed, monkeypatch):
+    """It would cost what a replay saves, and fail where that fails."""
+
+    def no_discretization(*arguments):
+        raise AssertionError("was called")
+
+    monkeypatch.setattr(linear, "first_order_hold", no_discretization)
+    assert cosim.diff(designed, cosim.replay(designed)).equal
+
+
+DESIGN_CHANGES = {
+    "renamed": lambda design, key: {
+        "other" if name == key else name: design[name] for name in design
+    },
+    "reshaped": lambda design, key: {**design, key: np.append(design[key], 1.0)},
+    "added": lambda design, key: {**design, "more": design[key]},
+}
+
+
+@pytest.mark.parametrize("change", DESIGN_CHANGES.values(), ids=DESIGN_CHANGES)
+@pytest.mark.parametrize(
+    ("name", "key"), [("lag", "Ad"), ("observer", "B1"), ("identifier", "times")]
+)
+def test_a_recorded_design_of_other_arrays_is_refused(designed, name, key, change, tmp_path):
+    """The kernels that step trust their shapes."""
+
+    def forge(items):
+        items["cosim.design"] = encode_design(change(decode_design(items["cosim.design"]), key))
+
+    log = forged(designed, tmp_path / "a.mcap", change_metadata(f"cosim.component.{name}", forge))
+    with pytest.raises(LogError, match=f"'{name}': the recorded design: expected arrays of shapes"):
+        cosim.replay(log)
