@@ -535,3 +535,14 @@ def test_a_partial_log_without_a_row_is_refused(loop, tmp_path):
     del content.messages[index]
     with pytest.raises(CosimError):
         cosim.replay(put_together(content, tmp_path / "b.mcap"))
+
+
+def test_a_partial_log_whose_inputs_changed_otherwise_is_refused(part, tmp_path):
+    """What is computed has to take them as in the run, also where only a window is recorded."""
+    content = take_apart(part(["plant.y"]).path)
+    items = dict(content.metadata)["cosim.component.observer"]
+    items["cosim.held"] = "[true,false]"
+    path = put_together(content, tmp_path / "b.mcap")
+    for window in (None, (0.1, 0.2)):
+        with pytest.raises(LogError, match="'observer' cannot be computed as in the run"):
+            cosim.replay(path, window=window)
