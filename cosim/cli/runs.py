@@ -182,7 +182,9 @@ def replay(given: Given) -> bool:
 
     Needs only the log; for a recording of another tool also --scenario and --map.
     """
+    from cosim.log import Log
     from cosim.report.tables.run import print_summary
+    from cosim.scenario.recordings.replay_request import ReplayRequest
     from cosim.scenario.running.replay import replayed_once, replays_of
 
     start_collecting()
@@ -194,13 +196,13 @@ def replay(given: Given) -> bool:
     assertions = read_assertions(given.assert_)
     span = (given.from_, given.to)
     with prints_to_stderr():
-        replays = replays_of(
-            given.log,
+        request = ReplayRequest(
             window=None if span == (None, None) else span,
             components=given.component or None,
             **given.only("set swap map allow_code rerun scenario"),
         )
-    if given.verify and replays.source is None:
+        replays = replays_of(given.log, request)
+    if given.verify and not isinstance(replays.source, Log):
         raise UsageError(f"--verify compares with a log of cosim; {given.log} is of another tool")
     shown = {"as_json": given.json, "quiet": given.quiet}
     target = given.only("out force")
@@ -222,11 +224,11 @@ def replay(given: Given) -> bool:
             replayed = replayed_once(replays, progress=progress, notice=notice, live=view, **target)
             again = resources.enter_context(replayed)
         _draw(again, given.plot)
-        if given.verify and replays.source is not None:
+        if given.verify and isinstance(replays.source, Log):
             from cosim.report.tables.logs import show_verification
             from cosim.report.verification import verify
 
-            designs = None if replays.request.window is not None else replays.designs()
+            designs = None if request.window is not None else replays.designs()
             verification = verify(replays.source, again, designs)
             given.print_shown(show_verification(verification, given.log, quiet=given.quiet))
             if not verification.passed:

@@ -54,6 +54,7 @@ from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.variants import METHODS, IdentificationMethod, foreign_keys
 from cosim.scenario.record import recorded_identification, truth_of
 from cosim.scenario.recordings.recording import Target, check_target
+from cosim.scenario.recordings.replay_request import ReplayRequest
 from cosim.scenario.running.execution import load, run
 from cosim.scenario.running.replay import replays_of
 from cosim.temporary import TemporaryFolder
@@ -587,7 +588,7 @@ def compare_estimators(
             path = resources.enter_context(TemporaryFolder("compare")) / f"{edited.name}.mcap"
         times: dict[str, float] = {}
         run(edited, out=path, force=force, profile=times)
-        replays = replays_of(path)
+        replays = replays_of(path, ReplayRequest())
         others = sum(times.get(name, 0.0) for name in edited.specs if name != component)
         for method, target in zip(methods, targets[1:], strict=True):
             foreign = foreign_keys(METHODS, method)

@@ -29,6 +29,7 @@ from cosim.log.mcap_file.rotation import part_paths
 from cosim.report.summary import results_of, summarize
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.recordings.recording import Target, build_experiment, record, run_rows
+from cosim.scenario.recordings.replay_request import ReplayRequest
 from cosim.scenario.running.replay import replays_of
 from cosim.studies.contracts import (
     COMPLETE,
@@ -202,13 +203,13 @@ class OpenedSubject:
             reports = self._compared(tuple(swaps.items())) if scenario.file.swap else None
             return build_experiment(scenario, resources, unpacked=self._fmus, reports=reports)
         is_own = not is_foreign(Path(member.recording))
-        replays = replays_of(
-            self._log(member.recording) if is_own else member.recording,
+        request = ReplayRequest(
             swap=swaps,
             map=subject.map,
             allow_code=subject.allow_code,
             scenario=None if is_own else self._scenario,
         )
+        replays = replays_of(self._log(member.recording) if is_own else member.recording, request)
         return replays.experiment(values, resources, self._fmus)
 
     def _compare(self, swaps: tuple[tuple[str, str], ...]) -> SwapReports | None:

@@ -26,6 +26,7 @@ from cosim.scenario.document.document import short
 from cosim.scenario.document.problems import TableProblems
 from cosim.scenario.document.swaps import PortNames
 from cosim.scenario.recordings.recording import Progress, Target
+from cosim.scenario.recordings.replay_request import ReplayRequest
 from cosim.scenario.running.replay import Replays, replays_of
 from cosim.studies.design import check_keys
 from cosim.studies.variations import GridVariation, read_variation
@@ -178,8 +179,7 @@ def replay_sweep(
     callable_argument("progress", progress)
     force = truth_argument("force", force)
     with setting_arguments(set, stop=stop, verdicts=verdicts) as changes:
-        replays = replays_of(
-            log,
+        request = ReplayRequest(
             set=changes,
             swap=swap,
             map=map,
@@ -189,6 +189,7 @@ def replay_sweep(
             components=components,
             scenario=scenario,
         )
+        replays = replays_of(log, request)
         return sweep_of(replays, vary, out=out, force=force, progress=progress)
 
 
@@ -202,7 +203,7 @@ def sweep_of(
 ) -> ReplaySweep:
     """Replay with every combination of some values; parameters as of :func:`replay_sweep`."""
     chosen = combinations(vary)
-    check_keys([(short(key), "varied") for key in chosen[0]], replays.changes)
+    check_keys([(short(key), "varied") for key in chosen[0]], replays.request.changes)
     names = [str(number) for number in range(1, len(chosen) + 1)]
     paths = log_paths(out, names, partial(replays.check_target, force=force))
     for values in chosen:

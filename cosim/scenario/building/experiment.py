@@ -84,10 +84,6 @@ class Experiment:
         Of a replay: the log it is made from.
     events : tuple of SignalEvent
         Of a replay: overrides and releases of inputs, and what followed them.
-    absent : mapping of component name to str
-        Of a replay of a partial log: why components are not here.
-    uncomputed : mapping of component name to str
-        Of it: why components are not computed that could be from a whole log.
     """
 
     scenario: Scenario
@@ -111,8 +107,6 @@ class Experiment:
     messages: Mapping[str, Sequence[Message]] = field(default_factory=dict)
     origin: ReplayOrigin | None = None
     events: tuple[SignalEvent, ...] = ()
-    absent: Mapping[str, str] = field(default_factory=dict)
-    uncomputed: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def has_events(self) -> bool:

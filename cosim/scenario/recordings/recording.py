@@ -40,8 +40,8 @@ from cosim.scenario.building.coupling import with_loop_gains
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.kinds.build_record import Origins
+from cosim.scenario.recordings.log_contents import attachments_of, metadata_of
 from cosim.scenario.recordings.message_recorder import MessageRecorder
-from cosim.scenario.recordings.records import attachments_of, metadata_of
 
 if TYPE_CHECKING:
     from cosim.fmi.unpacked import UnpackedFmus

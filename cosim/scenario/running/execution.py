@@ -34,6 +34,7 @@ from cosim.scenario.building.build import parse
 from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.document import Document, find
 from cosim.scenario.document.swaps import PortNames
+from cosim.scenario.recordings.log_contents import metadata_of
 from cosim.scenario.recordings.message_recorder import MessageRecorder
 from cosim.scenario.recordings.recording import (
     Beside,
@@ -49,7 +50,6 @@ from cosim.scenario.recordings.recording import (
     run_into,
     shown,
 )
-from cosim.scenario.recordings.records import metadata_of
 from cosim.scenario.running.real_time import paced
 from cosim.scenario.session import Opened, Session
 

@@ -34,7 +34,8 @@ from cosim.scenario.kinds.identified_plant import (
     bounds_of,
 )
 from cosim.scenario.record import component_record
-from cosim.scenario.recordings.replaying import rebuilt
+from cosim.scenario.recordings.replay_request import ReplayRequest
+from cosim.scenario.recordings.replaying import RebuiltRun
 from cosim.scenario.recordings.verdicts import IDENTIFY_WITH_OFFSET, interval_of
 from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.agreement import contradictions, each_alone
@@ -189,7 +190,7 @@ def identifier_record(
     if not isinstance(log, RecordedSignals):
         raise UsageError(f"logs: expected a path, or what a run returned, got {quoted(source)}")
     with ExitStack() as resources:
-        experiment = rebuilt(log, resources)
+        experiment = RebuiltRun(log, ReplayRequest(), resources).experiment
         name = _chosen(log, experiment.identified, identifier)
         identified = experiment.identified[name]
         samples = _samples(log, experiment, name)

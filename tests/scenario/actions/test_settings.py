@@ -11,6 +11,7 @@ from cosim.core.recording import SignalEvent
 from cosim.errors import LogError, ScenarioError
 from cosim.report.inspection import describe_log
 from cosim.report.verification import verify
+from cosim.scenario.recordings.replay_request import ReplayRequest
 from cosim.scenario.running.replay import replays_of
 from tests.fmi.eventful import friction
 from tests.scenario.actions.replays import check_actions_refused, verified_replay
@@ -114,7 +115,7 @@ def test_designs_that_are_set_at_a_condition_are_verified(write, tmp_path):
     """Those of the log against what they are computed to anew; another one is found."""
     action = '[[actions]]\nwhen = "s.y > 1.5"\nset = { "x.time_constant" = 0.25 }\n'
     log = cosim.run(write(action), out=tmp_path / "a.mcap")
-    replays = replays_of(log)
+    replays = replays_of(log, ReplayRequest())
     designs = replays.designs()
     (name,) = [name for name in designs if name.endswith(" x")]
     assert verify(log, cosim.replay(log), designs).passed
