@@ -58,13 +58,12 @@ from cosim.errors import (
 from cosim.instants import StepNs
 from cosim.log.contents.metadata import decode_design
 from cosim.native.numerics.expression import compile_condition
-from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.places import Key, Problem
 from cosim.scenario.document.problems import TableProblems, problems_of
 from cosim.scenario.document.schema import ActionTable
 from cosim.scenario.document.swaps import component_table
 from cosim.scenario.kinds import KINDS, Kind
-from cosim.scenario.kinds.base import AnyKind, BuildContext, PeriodicKind
+from cosim.scenario.kinds.base import AnyKind, BuildContext, PeriodicKind, Scenario
 from cosim.scenario.kinds.plants import FmuKind
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import unicodedata
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from cosim.blocks.declared import with_units
 from cosim.blocks.replay import Replay
@@ -40,13 +40,13 @@ from cosim.scenario.building.graph_checks import (
     jump_problems,
     substep_tolerance,
 )
-from cosim.scenario.building.parsing import Scenario, read
+from cosim.scenario.building.parsing import read_tables
 from cosim.scenario.document.document import Document
 from cosim.scenario.document.places import Key, Problem
 from cosim.scenario.document.problems import TableProblems
 from cosim.scenario.document.swaps import MapEntry, ports_in, unknown_ports
 from cosim.scenario.kinds import Kind
-from cosim.scenario.kinds.base import BuildContext, PeriodicKind, clock_of
+from cosim.scenario.kinds.base import BuildContext, PeriodicKind, Scenario
 from cosim.scenario.kinds.build_record import (
     TABLES_ALONE,
     DependsOnInvalid,
@@ -65,6 +65,9 @@ if TYPE_CHECKING:
     from cosim.blocks.renaming import Renaming
 
 
+DESCRIBED: Final = Origins(describes=True)
+
+
 class Builder:
     """Builds what can be built of a scenario, and collects the problems of the rest.
 
@@ -75,8 +78,6 @@ class Builder:
         Closes what was opened, FMUs above all, when the run is over.
     origins : Origins
         Where components come from, beside their tables.
-    problems : iterable of Problem
-        Of the scenario, as far as they are known.
     replaced : mapping of component name to Interface, optional
         Of the components that swaps replaced, where they are known.
     beside : Scenario, optional
@@ -110,12 +111,11 @@ class Builder:
         resources: ExitStack,
         origins: Origins = TABLES_ALONE,
         *,
-        problems: Iterable[Problem] = (),
         replaced: Mapping[str, Interface] | None = None,
         beside: Scenario | None = None,
     ) -> None:
         self.scenario = scenario
-        self.problems = list(problems)
+        self.problems = list(scenario.problems)
         self._origins = origins
         self._replaced = replaced or {}
         invalid = self._check_times()
@@ -162,7 +162,7 @@ class Builder:
         checks: dict[str, Callable[[], object]] = {
             "step": lambda: Clock(float(settings.step), settings.step),
             "start_time": lambda: start_nanoseconds(settings.start_time),
-            "stop": lambda: clock_of(settings),
+            "stop": lambda: settings.clock,
             "substeps": lambda: substep_tolerance(settings),
         }
         unknown: set[Key] = set()
@@ -641,6 +641,17 @@ def out_of_range(error: Exception) -> str:
     return f"numeric overflow or underflow: {error}"
 
 
+def read(document: Document) -> Scenario:
+    """Read and validate a document; the scenario has the problems that it is not refused for.
+
+    Raises
+    ------
+    ScenarioError
+        If the text is no TOML.
+    """
+    return read_tables(document, parse)
+
+
 def parse(document: Document) -> Scenario:
     """Read and validate a document; it may be a stranger's, so nothing of an FMU or a class runs.
 
@@ -650,10 +661,10 @@ def parse(document: Document) -> Scenario:
         With every problem that shows without building the components; if there is one, with every
         problem of the file that shows without its code.
     """
-    scenario, problems = read(document, parse)
-    if problems:
+    scenario = read(document)
+    if scenario.problems:
         with ExitStack() as resources:
-            Builder(scenario, resources, Origins(describes=True), problems=problems).check()
+            Builder(scenario, resources, DESCRIBED).check()
     return scenario
 
 
@@ -667,9 +678,8 @@ def describe(document: Document) -> Builder:
     ScenarioError
         With every problem of the file.
     """
-    scenario, problems = read(document, parse)
     with ExitStack() as resources:
-        builder = Builder(scenario, resources, Origins(describes=True), problems=problems)
+        builder = Builder(read(document), resources, DESCRIBED)
         builder.check()
         if not builder.unknown:
             builder.experiment()

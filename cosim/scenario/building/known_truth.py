@@ -11,7 +11,7 @@ import numpy as np
 from cosim.arrays import Matrix
 from cosim.core.port import Port
 from cosim.errors import UsageError, option, quoted
-from cosim.scenario.building.parsing import Scenario
+from cosim.scenario.kinds.base import Scenario
 from cosim.scenario.kinds.control import SensorKind
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.identified_plant import stated_covariance

@@ -465,7 +465,7 @@ class Document:
 
     def unswapped(self) -> Document:
         """Return the document without the swaps and without what was set for them."""
-        swapped = self.swapped_components()
+        swapped = self.tables().replaced
         inputs = tuple(f"connections.{name}." for name in swapped)
         changes = {}
         for key, value in self.changes.items():
@@ -473,10 +473,6 @@ class Document:
                 changes[key] = value
         # a map without its swap would be a problem, which keeps the scenario from being initialized
         return replace(self, swaps={}, maps={}, changes=changes, swapped=False)
-
-    def swapped_components(self) -> list[str]:
-        """Return the names of the swapped components."""
-        return list(self.tables().replaced)
 
     def edits(self) -> str:
         """Return swaps, maps and changes as JSON, for the log."""
@@ -509,17 +505,6 @@ class Document:
         for key, value in wrong:
             raise ValueError(f"{key!r}: expected a path, or port names, got {quoted(value)}")
         return Document(text, recorded["source"], folder, swaps, maps, recorded["changes"])
-
-    def tree(self) -> tuple[Tables, list[Problem]]:
-        """Return the tables with swaps and changes applied, and the problems of these.
-
-        Raises
-        ------
-        ScenarioError
-            If the text is no TOML.
-        """
-        tables = self.tables()
-        return tables.tree, tables.problems
 
     def tables(self) -> EditedTables:
         """Return the tables with swaps and changes applied, and what was edited.

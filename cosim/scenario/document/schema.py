@@ -23,6 +23,7 @@ from pydantic import (
     model_validator,
 )
 
+from cosim.core.clock import Clock
 from cosim.core.recorded.partial import RecordSelection
 from cosim.errors import quoted
 from cosim.scenario.document.places import Problem
@@ -207,6 +208,17 @@ class Settings(TomlTable):
         "short run",
     )
     description: str = Field("", description="one line of text for 'cosim list' and reports")
+
+    @property
+    def clock(self) -> Clock:
+        """The clock of the run, with blocks of any size.
+
+        Raises
+        ------
+        ClockError
+            If one of its times is off the grid.
+        """
+        return Clock(self.stop, self.step, start_time=self.start_time)
 
 
 class ModelTable(TomlTable):

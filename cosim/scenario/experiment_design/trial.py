@@ -31,7 +31,7 @@ from cosim.scenario.building.known_truth import (
     noise_of,
     parameters_by_term,
 )
-from cosim.scenario.building.parsing import Scenario
+from cosim.scenario.kinds.base import Scenario
 from cosim.scenario.kinds.control import SensorKind
 from cosim.scenario.kinds.field_data import FieldDataKind
 from cosim.scenario.kinds.identification import IdentifierKind

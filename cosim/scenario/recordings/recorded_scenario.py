@@ -16,8 +16,7 @@ from cosim.instants import Grid
 from cosim.log import Log
 from cosim.log.contents.metadata import json_table
 from cosim.log.contents.result import PARTIAL_STATUS
-from cosim.scenario.building.build import parse
-from cosim.scenario.building.parsing import read
+from cosim.scenario.building.build import read
 from cosim.scenario.document.document import Document
 from cosim.scenario.kinds import KINDS
 from cosim.scenario.record import (
@@ -77,8 +76,7 @@ def recorded_stop(log: CompleteRecording) -> float:
     ScenarioError
         If that is no TOML.
     """
-    scenario, _ = read(recorded_document(log), parse)
-    return scenario.file.scenario.stop
+    return read(recorded_document(log)).file.scenario.stop
 
 
 def check_whole(source: CompleteRecording) -> None:

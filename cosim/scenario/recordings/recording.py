@@ -38,13 +38,11 @@ from cosim.native.fmi.process import report_log
 from cosim.scenario.building.build import Builder
 from cosim.scenario.building.coupling import with_loop_gains
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.building.parsing import Scenario
-from cosim.scenario.kinds.build_record import Origins
+from cosim.scenario.kinds.base import Scenario
 from cosim.scenario.recordings.message_recorder import MessageRecorder
 from cosim.scenario.recordings.records import attachments_of, metadata_of
 
 if TYPE_CHECKING:
-    from cosim.fmi.unpacked import UnpackedFmus
     from cosim.scenario.recordings.swap_report import SwapReports
 
 Progress = Callable[[float, float], None]  # simulated time, end [s]
@@ -124,8 +122,6 @@ def check_target(out: str | Path | None, *, force: bool = False, numbered: bool 
 def build_experiment(
     scenario: Scenario,
     resources: ExitStack,
-    *,
-    unpacked: UnpackedFmus | None = None,
     reports: SwapReports | None = None,
 ) -> Experiment:
     """Build a scenario; one with swaps is compared with what it was, for its log and warnings.
@@ -135,8 +131,6 @@ def build_experiment(
     scenario : Scenario
     resources : ExitStack
         Closes what was opened, when the run is over.
-    unpacked : UnpackedFmus, optional
-        Where FMUs are unpacked and loaded for all builds of a process.
     reports : SwapReports, optional
         How the swaps compare, where that is known.
 
@@ -147,12 +141,12 @@ def build_experiment(
     """
 
     def build() -> Experiment:
-        return Builder(scenario, resources, Origins(unpacked=unpacked)).experiment()
+        return Builder(scenario, resources).experiment()
 
     if scenario.file.swap and reports is None:
         from cosim.scenario.recordings.swap_comparison import build_swapped  # few runs need it
 
-        experiment, reports = build_swapped(scenario, resources, unpacked)
+        experiment, reports = build_swapped(scenario, resources)
     else:
         experiment = build()
 

@@ -11,9 +11,8 @@ from cosim.core.recording import CompleteRecording
 from cosim.core.structure.cycles import reached_from
 from cosim.errors import UsageError, command, flag, option
 from cosim.instants import step_value
-from cosim.scenario.building.build import parse
+from cosim.scenario.building.build import read
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.building.parsing import read
 from cosim.scenario.document.document import ACTIONS, Document, short, shown
 from cosim.scenario.document.swaps import PortNames
 from cosim.scenario.kinds import Kind
@@ -87,16 +86,16 @@ def check_changes(
     """
     scenario = experiment.scenario
     if experiment.absent:  # which may be changed, too
-        scenario, _ = read(scenario.document, parse)
+        scenario = read(scenario.document)
     followers: dict[str, list[str]] = {}
     recorded = set(experiment.recorded)
     for to, connection in scenario.connections.items():
         for source in connection.sources:
             if to.component not in recorded:  # which passes nothing on
                 followers.setdefault(source.component, []).append(to.component)
-    before, _ = original.tree()
+    before = original.tables().tree
     for change, document in _changed_documents(original, changes, swap, maps):
-        after, _ = document.tree()
+        after = document.tables().tree
         for refusal in _refusals(
             experiment, _changed_tables(before, after), scenario.drivers, followers
         ):

@@ -21,9 +21,8 @@ from cosim.instants import NANOSECONDS
 from cosim.log import Log
 from cosim.log.comparison.event_difference import OF_COMPONENTS
 from cosim.log.contents.metadata import decode_design
-from cosim.scenario.building.build import Builder, parse
+from cosim.scenario.building.build import Builder, read
 from cosim.scenario.building.experiment import Experiment, fingerprint
-from cosim.scenario.building.parsing import read
 from cosim.scenario.document.document import Document
 from cosim.scenario.document.swaps import PortNames, component_table, is_map_key
 from cosim.scenario.kinds.build_record import Origins, RecordedFmu
@@ -46,7 +45,6 @@ from cosim.scenario.recordings.replay_changes import check_changes, replay_chang
 from cosim.scenario.recordings.replayed_part import ReplayedPart, replayed_part
 
 if TYPE_CHECKING:
-    from cosim.fmi.unpacked import UnpackedFmus
     from cosim.scenario.recordings.window import ReplayWindow
 
 _RECORDED: Final = "as recorded"
@@ -119,9 +117,8 @@ def prepared_replay(
     source: Log,
     request: ReplayRequest,
     resources: ExitStack,
-    unpacked: UnpackedFmus | None = None,
 ) -> Experiment:
-    """Build the replay of a log; FMUs that take the places of others are unpacked once for all.
+    """Build the replay of a log.
 
     Raises
     ------
@@ -132,7 +129,7 @@ def prepared_replay(
     UsageError
         If the recording cannot follow what is changed.
     """
-    experiment = rebuilt(source, resources, request, unpacked)
+    experiment = rebuilt(source, resources, request)
     document = recorded_document(source)
     check_changes(experiment, document, request.all_changes, request.swap, request.maps)
     copied = experiment.recorded
@@ -172,7 +169,6 @@ def rebuilt(
     source: CompleteRecording,
     resources: ExitStack,
     request: ReplayRequest = AS_RECORDED,
-    unpacked: UnpackedFmus | None = None,
 ) -> Experiment:
     """Build the scenario of a log again, with its recorded components; only the log is needed.
 
@@ -184,8 +180,6 @@ def rebuilt(
     request : ReplayRequest
         What is changed or computed; whether the recorded components allow changes is for
         :func:`check_changes`. What these name may always run its code.
-    unpacked : UnpackedFmus, optional
-        Where FMUs are unpacked and loaded for all builds of a process.
 
     Raises
     ------
@@ -203,10 +197,11 @@ def rebuilt(
     swap = request.swap
     changes = replay_changes(source, wanted)
     document = recorded_document(source).with_swaps(swap, request.maps).with_changes(changes)
-    scenario, problems = read(document, parse)
+    scenario = read(document)
+    problems = scenario.problems
     if not request.maps:
         # recorded ports have the scenario's names: a map need not fit changed connections
-        problems = [(key, text) for key, text in problems if not is_map_key(key)]
+        problems = tuple((key, text) for key, text in problems if not is_map_key(key))
     named = texts_in(wanted) | _texts_of_swaps(document, swap)
     specs = dict(scenario.specs)
     for name, spec in scenario.specs.items():
@@ -220,7 +215,7 @@ def rebuilt(
         again = rerun_specs(source, specs, swap, allow_code=request.allow_code)
         fmus_again = recorded_fmus(source, again, resources)
         specs |= again
-    scenario = replace(scenario, specs=specs)
+    scenario = replace(scenario, specs=specs, problems=problems)
     part = replayed_part(source, scenario, request.components)
     load_rows(source, [name for name in part.copied if name in source.channels])
     declared = declared_channels(source.channels)
@@ -232,9 +227,7 @@ def rebuilt(
             named=named,
             left_out=part.left_out,
             fmus_again=fmus_again,
-            unpacked=unpacked,
         ),
-        problems=problems,
         replaced={name: declared[name].interface for name in swap if name in declared},
         beside=scenario,
     )

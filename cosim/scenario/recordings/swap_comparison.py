@@ -25,13 +25,12 @@ from cosim.core.signals import Causality, Interface
 from cosim.errors import CosimError, GraphError, ScenarioError
 from cosim.fmi.description import INTERFACE_TYPE_NAMES
 from cosim.log.contents.metadata import json_table
-from cosim.scenario.building.build import Builder, parse
+from cosim.scenario.building.build import Builder, read
 from cosim.scenario.building.coupling import with_loop_gains
 from cosim.scenario.building.experiment import Experiment, warnings_among
-from cosim.scenario.building.parsing import Scenario, read
 from cosim.scenario.document.swaps import ports_in
-from cosim.scenario.kinds.base import LinearNearStart
-from cosim.scenario.kinds.build_record import Origins
+from cosim.scenario.kinds.base import LinearNearStart, Scenario
+from cosim.scenario.kinds.build_record import Resources, unpacked_in
 from cosim.scenario.kinds.capabilities import HasDescription
 from cosim.scenario.kinds.values import LinearSystem
 from cosim.scenario.record import component_metadata, component_record
@@ -62,8 +61,8 @@ def compare_swaps(scenario: Scenario, unpacked: UnpackedFmus | None = None) -> S
     ScenarioError
         If nothing of the scenario can be built.
     """
-    with ExitStack() as resources:
-        return _SwapComparison(scenario, resources, unpacked).reports
+    with Resources(unpacked) as resources:
+        return _SwapComparison(scenario, resources).reports
 
 
 def dry_run(scenario: Scenario) -> SwapReports:
@@ -87,11 +86,7 @@ def dry_run(scenario: Scenario) -> SwapReports:
         return replace(reports, of_run=tuple(warnings))
 
 
-def build_swapped(
-    scenario: Scenario,
-    resources: ExitStack,
-    unpacked: UnpackedFmus | None = None,
-) -> tuple[Experiment, SwapReports]:
+def build_swapped(scenario: Scenario, resources: ExitStack) -> tuple[Experiment, SwapReports]:
     """Build a scenario with swaps, and the reports of these; parameters as of ``Builder``.
 
     Raises
@@ -99,7 +94,7 @@ def build_swapped(
     ScenarioError
         With every problem of the scenario, and the ports that may have been meant.
     """
-    comparison = _SwapComparison(scenario, resources, unpacked)
+    comparison = _SwapComparison(scenario, resources)
     comparison.reports.check()
     return comparison.experiment(), comparison.reports
 
@@ -205,17 +200,11 @@ def _initial_values(interface: Interface, u: Vector, y: Vector) -> _PortValues:
 class _SwapComparison:
     """A swapped scenario that was built, initialized and compared with the one before."""
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        resources: ExitStack,
-        unpacked: UnpackedFmus | None = None,
-    ) -> None:
-        before, unbuilt = _replaced_components(scenario, unpacked)
+    def __init__(self, scenario: Scenario, resources: ExitStack) -> None:
+        before, unbuilt = _replaced_components(scenario, unpacked_in(resources))
         replaced = {name: component.interface for name, component in before.items()}
-        origins = Origins(unpacked=unpacked)
         self._resources = resources
-        self._builder = partial(Builder, scenario, resources, origins, replaced=replaced)
+        self._builder = partial(Builder, scenario, resources, replaced=replaced)
         builder = self._builder()
         fmus = builder.context.fmus
         # The messages of FMUs from when they are loaded belong to the run, those of the comparison
@@ -275,11 +264,10 @@ def _replaced_components(
     """
     components: dict[str, ComparedComponent] = {}
     unbuilt: dict[str, str] = {}
-    with ExitStack() as resources, suppress(CosimError):
-        original, problems = read(scenario.document.unswapped(), parse)
-        builder = Builder(original, resources, Origins(unpacked=unpacked), problems=problems)
+    with Resources(unpacked) as resources, suppress(CosimError):
+        builder = Builder(read(scenario.document.unswapped()), resources)
         state = _InitialState(builder)
-        for name in scenario.document.swapped_components():
+        for name in scenario.document.tables().replaced:
             if name in builder.components:
                 components[name] = state.component(name)
                 continue

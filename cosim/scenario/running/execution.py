@@ -31,9 +31,9 @@ from cosim.log.mcap_file.rotation import read_rotation
 from cosim.log.writing.background import FLUSH_INTERVAL
 from cosim.options import OF_A_LOG, OF_A_RECORDER, STEP_IS_CHOSEN, check_rules
 from cosim.scenario.building.build import parse
-from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.document import Document, find
 from cosim.scenario.document.swaps import PortNames
+from cosim.scenario.kinds.base import Scenario
 from cosim.scenario.recordings.message_recorder import MessageRecorder
 from cosim.scenario.recordings.recording import (
     Beside,
@@ -80,7 +80,7 @@ def load_document(document: Document) -> Scenario:
 def start(
     scenario: Scenario, out: str | Path | None, *, force: bool = False, numbered: bool = False
 ) -> Session:
-    """Start a scenario; see :meth:`cosim.scenario.building.parsing.Scenario.start`.
+    """Start a scenario; see :meth:`cosim.scenario.kinds.base.Scenario.start`.
 
     Raises
     ------

@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeAlias, final
+from typing import Any, Final, TypeAlias, final
 
 from cosim.arguments import (
     callable_argument,
@@ -34,8 +34,8 @@ from cosim.log.foreign.topics import is_foreign
 from cosim.log.mcap_file.paths import log_path
 from cosim.log.mcap_file.rotation import all_parts
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.swaps import PortNames, WrittenPorts, ports_in
+from cosim.scenario.kinds.base import Scenario
 from cosim.scenario.recordings.recording import (
     LiveView,
     Notice,
@@ -49,11 +49,8 @@ from cosim.scenario.recordings.replaying import ReplayRequest, designs_anew, pre
 from cosim.scenario.recordings.window import window_of
 from cosim.scenario.running.execution import load
 
-if TYPE_CHECKING:
-    from cosim.fmi.unpacked import UnpackedFmus
-
 _LARGE: Final = 2**25  # bytes of rows
-_Build: TypeAlias = Callable[[ReplayRequest, ExitStack, "UnpackedFmus | None"], Experiment]
+_Build: TypeAlias = Callable[[ReplayRequest, ExitStack], Experiment]
 
 
 @final
@@ -88,18 +85,10 @@ class Replays:
         """What all replays change."""
         return self.request.changes
 
-    def experiment(
-        self,
-        values: Mapping[str, Any],
-        resources: ExitStack,
-        unpacked: UnpackedFmus | None = None,
-    ) -> Experiment:
-        """Build the replay with some values, to run it into a recorder of one's own.
-
-        FMUs are unpacked into ``unpacked`` for all replays; without it, for this one.
-        """
+    def experiment(self, values: Mapping[str, Any], resources: ExitStack) -> Experiment:
+        """Build the replay with some values, to run it into a recorder of one's own."""
         request = replace(self.request, changes={**self.changes, **values})
-        return self.build(request, resources, unpacked)
+        return self.build(request, resources)
 
     def check(self, values: Mapping[str, Any]) -> None:
         """Build and prepare the replay with some values; raise UsageError if it cannot be run."""
@@ -217,14 +206,11 @@ def replays_of(
 
 
 def _field_experiment(
-    scenario: Scenario,
-    request: ReplayRequest,
-    resources: ExitStack,
-    unpacked: UnpackedFmus | None,
+    scenario: Scenario, request: ReplayRequest, resources: ExitStack
 ) -> Experiment:
     """Build a scenario that takes components from a recording of another tool."""
     edited = scenario.edit(set=request.changes)
-    experiment = build_experiment(edited, resources, unpacked=unpacked)
+    experiment = build_experiment(edited, resources)
     experiment.clock = replace(experiment.clock, block=request.block)
     return experiment
 

@@ -42,7 +42,7 @@ def academic():
 
 
 def tree(scenario):
-    return scenario.document.tree()[0]
+    return scenario.document.tables().tree
 
 
 def final(scenario, changes):
@@ -75,7 +75,7 @@ def test_a_swap_names_its_component_in_both_forms(tmp_path):
     cosim.run("pair", set={"scenario.stop": 0.01}, out=tmp_path / "pair.mcap")
     log = str(tmp_path / "pair.mcap")
     edited = cosim.load("pair").edit(swap={"components.load": log})
-    assert edited.document.swapped_components() == ["load"]
+    assert list(edited.document.tables().replaced) == ["load"]
     with pytest.raises(UsageError, match=r"load.*once"):
         cosim.load("pair").edit(swap={"components.load": log, "load": log})
 
