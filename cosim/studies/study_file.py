@@ -24,7 +24,6 @@ from cosim.log.foreign.topics import is_foreign
 from cosim.log.reading.reader import open_log
 from cosim.scenario.building.build import read
 from cosim.scenario.document.document import (
-    COMPONENTS,
     Document,
     find,
     plain,
@@ -34,6 +33,7 @@ from cosim.scenario.document.document import (
 from cosim.scenario.document.places import Key, Problem, report
 from cosim.scenario.document.problems import TableProblems, problems_of
 from cosim.scenario.document.schema import (
+    COMPONENTS,
     LARGEST_SEED,
     Flag,
     Number,

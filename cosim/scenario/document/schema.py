@@ -26,7 +26,7 @@ from pydantic import (
 from cosim.core.clock import Clock
 from cosim.core.recorded.partial import RecordSelection
 from cosim.errors import quoted
-from cosim.scenario.document.places import Problem
+from cosim.scenario.document.places import PORTS, Problem
 from cosim.scenario.document.problems import TableProblems
 from cosim.units import base_unit, unknown_unit
 
@@ -134,6 +134,20 @@ def _check_name(name: str) -> str:
 
 
 Name = Annotated[str, AfterValidator(_check_name)]
+
+ACTIONS: Final = "actions"  # a list of tables
+COMPONENTS: Final = "components"
+# names that a short key of an edit could not tell from those of tables
+RESERVED: Final = ("scenario", "models", *PORTS, ACTIONS, "record", "swap", COMPONENTS)
+
+
+def _check_reserved(name: str) -> str:
+    if name in RESERVED:
+        raise ValueError(f"expected another name than that of a table of the file, got {name!r}")
+    return name
+
+
+ComponentName = Annotated[Name, AfterValidator(_check_reserved)]
 
 
 class TomlTable(BaseModel):
@@ -405,7 +419,7 @@ class File(TomlTable):
 
     scenario: Settings = Field(description="the table [scenario] with name, stop and step")
     models: dict[str, ModelTable] = {}
-    components: dict[Name, dict[str, Any]] = Field(
+    components: dict[ComponentName, dict[str, Any]] = Field(
         description="a table [components.NAME] for each, with its kind"
     )
     connections: dict[str, str | list[str] | ConnectionTable] = {}

@@ -46,7 +46,8 @@ def recorded_document(log: CompleteRecording) -> Document:
         )
     try:
         text = log.attachment(SCENARIO_FILE).decode()
-        document = Document.recorded(text, edits, Path.cwd())
+        what = f"{log.label}: its scenario"
+        document = Document.recorded(text, edits, Path.cwd(), what)
         return replace(document, foreign_kinds=_foreign_kinds(log))
     except ValueError as error:
         raise LogError(f"{log.label}: its scenario cannot be understood: {error}") from error

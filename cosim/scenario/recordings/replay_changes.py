@@ -13,7 +13,8 @@ from cosim.errors import UsageError, command, flag, option
 from cosim.instants import step_value
 from cosim.scenario.building.build import read
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.document.document import ACTIONS, Document, short, shown
+from cosim.scenario.document.document import Document, short, shown
+from cosim.scenario.document.schema import ACTIONS
 from cosim.scenario.document.swaps import PortNames
 from cosim.scenario.kinds import Kind
 
