@@ -55,7 +55,6 @@ from cosim.errors import (
     nearest,
     quoted,
 )
-from cosim.instants import StepNs
 from cosim.log.contents.metadata import decode_design
 from cosim.native.numerics.expression import compile_condition
 from cosim.scenario.document.places import Key, Problem
@@ -139,8 +138,7 @@ class ActionChecker:
                     points[number] = self._point(action.at)
                 else:
                     assert action.when is not None, "validated before"
-                    step_ns = self._clock.step_ns
-                    check_condition(action.when, self._components, self._unknown, step_ns)
+                    check_condition(action.when, self._components, self._unknown, self._context)
                     points[number] = conditions.setdefault(action.when, -1 - number)
             except CosimError as error:
                 key = "when" if action.at is None else "at"
@@ -734,7 +732,7 @@ def _check_place(name: str, path: str, place: Interface, other: Interface) -> No
 
 
 def check_condition(
-    text: str, components: Mapping[str, Component], unknown: Set[str], step_ns: StepNs
+    text: str, components: Mapping[str, Component], unknown: Set[str], context: BuildContext
 ) -> None:
     """Check a condition, as far as its signals are known.
 
@@ -744,8 +742,8 @@ def check_condition(
     components : mapping of component name to Component
     unknown : set of str
         Components whose signals are not known.
-    step_ns : int
-        Communication step [ns].
+    context : BuildContext
+        Whose communication step it is checked at.
 
     Raises
     ------
@@ -754,7 +752,7 @@ def check_condition(
     """
     signals = compile_condition(text).program.signals
     if unknown.isdisjoint(map(_component_of, signals)):
-        Condition(text, layout_of(dict(components)), step_ns)
+        Condition(text, layout_of(dict(components)), context.step_ns)
 
 
 def _component_of(name: str) -> str:

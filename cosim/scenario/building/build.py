@@ -5,7 +5,7 @@ from __future__ import annotations
 import unicodedata
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Final
 
 from cosim.blocks.declared import with_units
@@ -43,7 +43,7 @@ from cosim.scenario.building.graph_checks import (
 from cosim.scenario.building.parsing import read_tables
 from cosim.scenario.document.document import Document
 from cosim.scenario.document.places import Key, Problem
-from cosim.scenario.document.problems import TableProblems
+from cosim.scenario.document.problems import problems_in
 from cosim.scenario.document.swaps import MapEntry, ports_in, unknown_ports
 from cosim.scenario.kinds import Kind
 from cosim.scenario.kinds.base import BuildContext, PeriodicKind, Scenario
@@ -56,7 +56,6 @@ from cosim.scenario.kinds.build_record import (
 from cosim.scenario.kinds.capabilities import Advising, HasGivenStates, HasSamples, RenamesMore
 from cosim.scenario.kinds.identified_plant import IdentifiedPlant
 from cosim.scenario.kinds.initial_states import GivenStates
-from cosim.scenario.kinds.models import form_problems
 from cosim.scenario.kinds.plants import DescriptorKind
 from cosim.scenario.record import component_record
 
@@ -150,8 +149,7 @@ class Builder:
         self._reactions: Sequence[ConditionalAction] = ()
         with suppress(DependsOnInvalid):
             self._check_actions()
-        with suppress(DependsOnInvalid):
-            self._check_until()
+        self._check_until()
         self._check_record()
 
     # --- what is known beforehand ---
@@ -165,26 +163,35 @@ class Builder:
             "stop": lambda: settings.clock,
             "substeps": lambda: substep_tolerance(settings),
         }
+        changes = self.scenario.document.changes
+        is_of_step = "scenario.step" in changes and "scenario.stop" not in changes
         unknown: set[Key] = set()
         for name, check in checks.items():
             key = ("scenario", name)
-            if not self.scenario.invalid.isdisjoint({("scenario",), key}):
-                unknown.add(key)
+            place, prefix = key, f"{name}: "
+            if name == "stop" and is_of_step and settings.stop > settings.start_time:
+                place, prefix = ("scenario", "step"), ""
+            is_invalid = not self.scenario.invalid.isdisjoint({("scenario",), key})
             # what is checked on the grid of the steps needs it
-            elif name not in ("stop", "substeps") or not unknown:
-                try:
-                    check()
-                except CosimError as error:
-                    unknown.add(key)
-                    changes = self.scenario.document.changes
-                    is_of_step = "scenario.step" in changes and "scenario.stop" not in changes
-                    text = str(error)
-                    if name == "stop" and is_of_step and settings.stop > settings.start_time:
-                        key = ("scenario", "step")
-                    else:
-                        text = text.removeprefix(f"{name}: ")
-                    self.problems.append((key, text))
+            is_unchecked = name in ("stop", "substeps") and unknown
+            if is_invalid or (not is_unchecked and self._is_refused(place, check, prefix)):
+                unknown.add(key)
         return unknown
+
+    def _is_refused(self, place: Key, check: Callable[[], object], prefix: str = "") -> bool:
+        """Return whether a check refuses what stands at a place; add the problem of that.
+
+        The place says what the prefix of its message does.
+        """
+        try:
+            check()
+        except DependsOnInvalid:
+            pass
+        except (CosimError, ValueError) as error:
+            found = problems_in(error, place)
+            self.problems += [(key, text.removeprefix(prefix)) for key, text in found]
+            return True
+        return False
 
     @property
     def clock(self) -> Clock:
@@ -201,16 +208,9 @@ class Builder:
             raise self.scenario.document.report(self.problems) from error
 
     def _check_models(self) -> None:
-        for name, table in self.scenario.file.models.items():
+        for name in self.scenario.file.models:
             place: Key = ("models", name)
-            problems = [((*place, key) if key else place, t) for key, t in form_problems(table)]
-            if not problems:
-                try:
-                    self.context.model(name)
-                except (CosimError, ValueError) as error:
-                    problems = [(place, str(error))]
-            if problems:
-                self.problems += problems
+            if self._is_refused(place, partial(self.context.model, name)):
                 self.context.invalid.add(place)
 
     @cached_property
@@ -249,14 +249,11 @@ class Builder:
             pass
         except NotImported:
             self.unknown.add(name)
-        except TableProblems as error:
-            self._cause = self._cause or error
-            self.problems += [((*place, *key), text) for key, text in error.problems]
         except (CosimError, ValueError) as error:
             self._cause = self._cause or error
-            self.problems.append((place, str(error)))
-        except (ArithmeticError, MemoryError) as error:  # of numbers near the largest or smallest
-            self.problems.append((place, out_of_range(error)))
+            self.problems += problems_in(error, place)
+        except (ArithmeticError, MemoryError) as error:
+            self.problems += problems_in(error, place)
 
     def _component(self, name: str, spec: Kind) -> Component:
         recording = self.context.replayed_from(spec)
@@ -393,37 +390,32 @@ class Builder:
         """Add the problem of the condition that ends the run."""
         until = self.scenario.file.scenario.until
         right = self._right
-        if until is None or not right:
-            return
-        step_ns = self.context.step_ns
-        try:
-            check_condition(until, right, self._names - right.keys(), step_ns)
-        except UsageError as error:
-            self.problems.append((("scenario", "until"), str(error)))
+        if until is not None and right:
+            missing = self._names - right.keys()
+            check = partial(check_condition, until, right, missing, self.context)
+            self._is_refused(("scenario", "until"), check)
 
     def _check_record(self) -> None:
         """Add the problem of what is chosen to be recorded, where all components are known."""
         selection = self.scenario.file.record.selection
-        if selection.signals is None or self._invalid or not self.components:
-            return
-        channels = {channel.name: channel for channel in layout_of(self.components).channels}
-        try:
-            chosen_signals(channels, selection, beside=self._declared)
-        except UsageError as error:
-            self.problems.append((("record", "signals"), str(error).removeprefix("the run: ")))
+        if self.components and not self._invalid:
+            channels = {channel.name: channel for channel in layout_of(self.components).channels}
+            check = partial(chosen_signals, channels, selection, beside=self._declared)
+            self._is_refused(("record", "signals"), check, "the run: ")
 
     # --- the graph ---
 
     def check(self) -> None:
-        """Check that everything could be built.
+        """Check that everything could be built, and that it fits together.
 
         Raises
         ------
         ScenarioError
             With every problem of the file.
         """
-        if self.problems:
-            raise self._report([*self.problems, *self.graph_problems()])
+        problems = [*self.problems, *self.graph_problems()]
+        if problems:
+            raise self._report(problems)
 
     def _report(self, problems: Iterable[Problem]) -> ScenarioError:
         error = self.scenario.document.report(problems)
@@ -531,9 +523,7 @@ class Builder:
         ScenarioError
             With every problem of the file.
         """
-        problems = [*self.problems, *self.graph_problems()]
-        if problems:
-            raise self._report(problems)
+        self.check()
         graph = self._graph
         for name, text in self._warnings(graph):
             self.context.warn(name, text)
@@ -634,11 +624,6 @@ class Builder:
 def asks_for_means(spec: Kind) -> bool:
     """Return whether inputs with one value over a step get their mean, whatever drives them."""
     return getattr(spec, "input_interpolation", None) == "linear"
-
-
-def out_of_range(error: Exception) -> str:
-    """Return in words that a number has left the range of numbers."""
-    return f"numeric overflow or underflow: {error}"
 
 
 def read(document: Document) -> Scenario:

@@ -45,8 +45,23 @@ class TableProblems(UsageError):
     """
 
     def __init__(self, problems: Sequence[Problem]) -> None:
-        super().__init__("; ".join(f"{'.'.join(map(str, key))}: {text}" for key, text in problems))
+        lines = [": ".join(filter(None, (".".join(map(str, key)), text))) for key, text in problems]
+        super().__init__("; ".join(lines))
         self.problems = tuple(problems)
+
+
+def problems_in(error: Exception, place: Key) -> list[Problem]:
+    """Return what an error says of the table, or of the key, that stands at a place."""
+    if isinstance(error, TableProblems):
+        return [((*place, *key), text) for key, text in error.problems]
+    if isinstance(error, ArithmeticError | MemoryError):  # of numbers near the largest or smallest
+        return [(place, out_of_range(error))]
+    return [(place, str(error))]
+
+
+def out_of_range(error: Exception) -> str:
+    """Return in words that a number has left the range of numbers."""
+    return f"numeric overflow or underflow: {error}"
 
 
 class _Error(NamedTuple):

@@ -48,6 +48,14 @@ Size = Annotated[Whole, Field(ge=1, le=100_000)]  # of a signal
 Flag = Annotated[bool, Field(strict=True)]
 NumberRow = tuple[Number, ...]
 NumberRows = tuple[NumberRow, ...]
+
+
+def _check_rows(rows: NumberRows) -> NumberRows:
+    matrix(rows)
+    return rows
+
+
+MatrixRows = Annotated[NumberRows, AfterValidator(_check_rows)]  # where nothing else may stand
 Limit = Annotated[float, Field(strict=True)]  # inf: there is none
 
 
@@ -244,15 +252,15 @@ class ModelTable(TomlTable):
     n_a: Whole | None = Field(
         None, ge=1, description="number of dynamic states of a partitioned model A, Bu, Bd, C"
     )
-    E: NumberRows | None = Field(None, description="square matrix of E x'; default: identity")
-    A: NumberRows | None = Field(None, description="square matrix; required without file")
-    B: NumberRows | None = Field(None, description="one column per input; or give Bu and Bd")
-    Bu: NumberRows | None = Field(None, description="columns of the known inputs u")
-    Bd: NumberRows | None = Field(None, description="columns of the disturbances delta")
-    C: NumberRows | None = Field(None, description="one row per output; required without file")
-    D: NumberRows | None = Field(None, description="direct feedthrough, columns as B; default: 0")
-    Du: NumberRows | None = Field(None, description="direct feedthrough, columns as Bu; default: 0")
-    Dd: NumberRows | None = Field(None, description="direct feedthrough, columns as Bd; default: 0")
+    E: MatrixRows | None = Field(None, description="square matrix of E x'; default: identity")
+    A: MatrixRows | None = Field(None, description="square matrix; required without file")
+    B: MatrixRows | None = Field(None, description="one column per input; or give Bu and Bd")
+    Bu: MatrixRows | None = Field(None, description="columns of the known inputs u")
+    Bd: MatrixRows | None = Field(None, description="columns of the disturbances delta")
+    C: MatrixRows | None = Field(None, description="one row per output; required without file")
+    D: MatrixRows | None = Field(None, description="direct feedthrough, columns as B; default: 0")
+    Du: MatrixRows | None = Field(None, description="direct feedthrough, columns as Bu; default: 0")
+    Dd: MatrixRows | None = Field(None, description="direct feedthrough, columns as Bd; default: 0")
     disturbances: tuple[Whole, ...] | None = Field(
         None, description="indices of the columns of B that are unknown, from 0; default: none"
     )
@@ -430,7 +438,7 @@ class File(TomlTable):
     study: dict[str, Any] = {}  # of many runs of the scenario; validated where these are planned
 
 
-def matrix(rows: NumberRows, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+def matrix(rows: NumberRows, name: str = "") -> np.ndarray[Any, np.dtype[np.float64]]:
     """Convert rows to a matrix.
 
     Raises
@@ -440,8 +448,8 @@ def matrix(rows: NumberRows, name: str) -> np.ndarray[Any, np.dtype[np.float64]]
     """
     lengths = [len(row) for row in rows]
     if not rows or len(set(lengths)) != 1 or lengths[0] == 0:
+        where = f"{name}: " if name else ""
         raise ValueError(
-            f"{name}: expected rows of equal length, such as [[0, 1], [2, 3]], got lengths "
-            f"{lengths}"
+            f"{where}expected rows of equal length, such as [[0, 1], [2, 3]], got lengths {lengths}"
         )
     return np.array(rows, dtype=np.float64)

@@ -34,7 +34,7 @@ from cosim.scenario.document.places import Key, Problem
 from cosim.scenario.document.schema import ActionTable, AnyUnit, File, StepTime, TomlTable
 from cosim.scenario.document.swaps import MapEntry, PortNames, ports_in
 from cosim.scenario.kinds.build_record import TABLES_ALONE, BuildRecord, DependsOnInvalid, Origins
-from cosim.scenario.kinds.models import system_of, system_of_file
+from cosim.scenario.kinds.models import check_form, system_of
 from cosim.scenario.kinds.values import (
     ImpliedConnection,
     KnownSignal,
@@ -537,9 +537,8 @@ class BuildContext(BuildRecord):
         table = tables[name]
 
         def make() -> DescriptorSystem:
-            if table.file is None:
-                return system_of(table)
-            return system_of_file(table, self.matrices(name, table.file))
+            check_form(table)
+            return system_of(table, None if table.file is None else self.matrices(name, table.file))
 
         return self.made_once("model", name, make)
 
