@@ -136,6 +136,8 @@ class Builder:
             self.problems += unknown_ports(scenario.tree, entries, interface)
         for name, spec in scenario.specs.items():
             self._build(name, spec)
+        # what is read from now on is told of the last one, in a part of a scenario as in the whole
+        self.context.go_on(*list((beside or scenario).specs)[-1:])
         self._drop_repeated_problems()
         self._connections: Mapping[Port, Connection] = scenario.connections
         if recording is not None:  # with the conversions of its run

@@ -185,9 +185,14 @@ class BuildRecord:
         self._kept: dict[tuple[str, str], tuple[Any, frozenset[str]]] = {}
 
     def begin(self, name: str) -> None:
-        """Record what is read from now on for a component."""
+        """Record what is read from now on for a component, and nothing else."""
         self.current = name
         self.reads[name] = frozenset()
+
+    def go_on(self, name: str = "") -> None:
+        """Record what is read from now on for a component, beside what was read for it."""
+        self.current = name
+        self.reads.setdefault(name, frozenset())
 
     def read(self, *tables: str) -> None:
         """Record that tables are read."""
