@@ -138,7 +138,6 @@ class Builder:
             self._build(name, spec)
         # what is read from now on is told of the last one, in a part of a scenario as in the whole
         self.context.go_on(*list((beside or scenario).specs)[-1:])
-        self._drop_repeated_problems()
         self._connections: Mapping[Port, Connection] = scenario.connections
         if recording is not None:  # with the conversions of its run
             self._connections = as_in_run(scenario.connections, recording, self.components)
@@ -341,18 +340,6 @@ class Builder:
                 if source.component == name and source.signal in samples:
                     return to
         return None
-
-    def _drop_repeated_problems(self) -> None:
-        """Drop what a component says of another that it reads, which says that itself."""
-        known = {(".".join(map(str, key)), text) for key, text in self.problems}
-        kept = []
-        for key, text in self.problems:
-            others: set[str] = set()
-            if key[:1] == ("components",) and len(key) > 1:
-                others = {*self.context.reads.get(str(key[1]), ())} - {f"components.{key[1]}"}
-            if not any((table, text) in known for table in others):
-                kept.append((key, text))
-        self.problems = kept
 
     # --- what connects them, and what is said of their signals ---
 

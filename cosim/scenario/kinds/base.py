@@ -27,7 +27,7 @@ from cosim.core.recording import Recording
 from cosim.core.signals import Interface, PortUnit
 from cosim.core.structure.cycles import reached_from
 from cosim.core.structure.ports import unknown_port
-from cosim.errors import CosimError, UsageError, nearest
+from cosim.errors import UsageError, nearest
 from cosim.instants import StepNs, step_seconds, step_value
 from cosim.scenario.document.document import Document
 from cosim.scenario.document.places import Key, Problem
@@ -653,10 +653,8 @@ class BuildContext(BuildRecord):
         recording = self.replayed_from(spec)
         if recording is not None:
             return component_record(recording, source.component).lags.get(source.signal, 0.0)
-        try:
+        with self.reported_by(source.component):
             return spec.lag(source.component, source.signal, self)
-        except CosimError as error:  # the problem of that component, which reports it itself
-            raise DependsOnInvalid(str(error)) from error
 
     def _sources(self, to: Port) -> list[Port]:
         """Return the outputs that drive an input or its elements."""
@@ -694,9 +692,8 @@ class BuildContext(BuildRecord):
             return Replay(recording, name)
         count = len(self.warnings)
         try:
-            return spec.build(name, self)
-        except CosimError as error:  # the problem of that component, which reports it itself
-            raise DependsOnInvalid(str(error)) from error
+            with self.reported_by(name):
+                return spec.build(name, self)
         finally:
             del self.warnings[count:]  # it warns where it is built for the run
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Iterable, Mapping
-from contextlib import ExitStack
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
@@ -16,7 +16,7 @@ from cosim.core.port import Port
 from cosim.core.recording import Recording
 from cosim.core.signals import Signal
 from cosim.documents import plain
-from cosim.errors import LogError, UsageError, option, quoted
+from cosim.errors import CosimError, LogError, UsageError, option, quoted
 from cosim.files import expanded
 from cosim.scenario.document.document import short
 from cosim.scenario.document.problems import TableProblems
@@ -259,26 +259,29 @@ class BuildRecord:
 
     def designed(self, name: str, design: Callable[[], T]) -> T:
         """Return the design of a component, which is made once in a build, whoever asks for it."""
-        return self.made_once("design", name, design)
+        with self.reported_by(name):
+            return self.made_once("design", name, design)
 
     def field_data(self, name: str, read: Callable[[], FieldData]) -> FieldData:
-        """Return the samples of a component, which are read once.
+        """Return the samples of a component, which are read once."""
+        with self.reported_by(name):
+            return self.made_once("samples", name, read)
 
-        What is wrong with them is the problem of that component, which reports it itself.
+    @contextmanager
+    def reported_by(self, name: str) -> Iterator[None]:
+        """Take what is wrong inside for the problem of a component, which reports it itself.
+
+        Raises
+        ------
+        DependsOnInvalid
+            In the build of another one.
         """
-
-        def read_or_problem() -> FieldData | UsageError:
-            try:
-                return read()
-            except UsageError as error:
-                return error
-
-        data = self.made_once("samples", name, read_or_problem)
-        if isinstance(data, UsageError):
-            if name != self.current:
-                raise DependsOnInvalid(str(data)) from data
-            raise data
-        return data
+        try:
+            yield
+        except (CosimError, ValueError) as error:
+            if self.current in ("", name):
+                raise
+            raise DependsOnInvalid(str(error)) from error
 
     def chosen(
         self, name: str, request: Mapping[str, Any], choose: Callable[[], Mapping[str, Any]]

@@ -256,8 +256,9 @@ class FieldDataKind(TableKeys, PlantKind, DecidedByStep, HasSamples, RenamesMore
         for other, spec in context.of_kind(FieldDataKind).items():
             if (spec.path, spec.time, spec.time_unit) == (self.path, self.time, self.time_unit):
                 together += chain.from_iterable(spec.fields(context.mapped(other)).values())
-        samples = context.designed(
-            f"samples of {path} by {self.time} in {self.time_unit}",
+        samples = context.made_once(
+            "fields",
+            f"{path} by {self.time} in {self.time_unit}",
             lambda: read_samples(path, together, self.field_form),
         )
         return recorded_data(path, columns, samples, self.field_form)
