@@ -46,14 +46,21 @@ from cosim.scenario.document.places import Key, Problem
 from cosim.scenario.document.problems import problems_in
 from cosim.scenario.document.swaps import MapEntry, ports_in, unknown_ports
 from cosim.scenario.kinds import Kind
-from cosim.scenario.kinds.base import BuildContext, PeriodicKind, Scenario
+from cosim.scenario.kinds.base import (
+    Advising,
+    BuildContext,
+    HasGivenStates,
+    HasSamples,
+    PeriodicKind,
+    RenamesMore,
+    Scenario,
+)
 from cosim.scenario.kinds.build_record import (
     TABLES_ALONE,
     DependsOnInvalid,
     NotImported,
     Origins,
 )
-from cosim.scenario.kinds.capabilities import Advising, HasGivenStates, HasSamples, RenamesMore
 from cosim.scenario.kinds.identified_plant import IdentifiedPlant
 from cosim.scenario.kinds.initial_states import GivenStates
 from cosim.scenario.kinds.plants import DescriptorKind

@@ -38,13 +38,13 @@ from cosim.scenario.document.schema import (
 from cosim.scenario.kinds.base import (
     BuildContext,
     ExportableKind,
+    HasSamples,
     LinearKind,
     PeriodicKind,
     PortUnits,
     Wiring,
     unit_of,
 )
-from cosim.scenario.kinds.capabilities import HasSamples
 from cosim.scenario.kinds.values import Sampling, StepDependence
 
 EACH = ", one number or one per element"

@@ -37,8 +37,7 @@ from cosim.scenario.data_files.field_file import (
 )
 from cosim.scenario.data_files.table import FieldForm
 from cosim.scenario.document.schema import Number, UnitName, Whole
-from cosim.scenario.kinds.base import BuildContext
-from cosim.scenario.kinds.capabilities import DecidedByStep, HasSamples, RenamesMore
+from cosim.scenario.kinds.base import BuildContext, DecidedByStep, HasSamples, RenamesMore
 from cosim.scenario.kinds.plants import PlantKind
 from cosim.scenario.kinds.tables import TableKeys
 from cosim.scenario.kinds.values import StepDependence

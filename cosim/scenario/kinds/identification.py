@@ -38,12 +38,12 @@ from cosim.scenario.document.schema import (
 from cosim.scenario.kinds.alphas import alpha_connections
 from cosim.scenario.kinds.base import (
     BuildContext,
+    DecidedByStep,
     ExportableKind,
     Kind,
     PeriodicKind,
     Wiring,
 )
-from cosim.scenario.kinds.capabilities import DecidedByStep
 from cosim.scenario.kinds.identification_source import (
     IdentifierSource,
     ObserverSource,

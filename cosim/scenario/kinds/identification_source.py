@@ -17,8 +17,7 @@ from cosim.errors import AssumptionError, UsageError
 from cosim.instants import step_seconds
 from cosim.native.estimation.alphas import signals_among
 from cosim.scenario.document.schema import Number, TomlTable
-from cosim.scenario.kinds.base import BuildContext, Kind
-from cosim.scenario.kinds.capabilities import HasSamples
+from cosim.scenario.kinds.base import BuildContext, HasSamples, Kind
 from cosim.scenario.kinds.observers import DesignedObserver, UnknownInputObserverKind
 from cosim.scenario.kinds.reconstruction import AnyReconstruction
 from cosim.scenario.kinds.regressor import RegressorKind

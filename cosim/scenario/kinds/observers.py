@@ -29,8 +29,15 @@ from cosim.scenario.document.schema import (
     Whole,
     matrix,
 )
-from cosim.scenario.kinds.base import BuildContext, ExportableKind, LinearNearStart, Wiring
-from cosim.scenario.kinds.capabilities import Advising, DecidedByStep, HasGivenStates
+from cosim.scenario.kinds.base import (
+    Advising,
+    BuildContext,
+    DecidedByStep,
+    ExportableKind,
+    HasGivenStates,
+    LinearNearStart,
+    Wiring,
+)
 from cosim.scenario.kinds.initial_states import GivenStates
 from cosim.scenario.kinds.linearizing import DesignModel, MovingModel, design_model, split
 from cosim.scenario.kinds.plants import StartFields, check_foreign_initial

@@ -22,6 +22,7 @@ from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.exporting.specifications import Exportable
 from cosim.scenario.document.schema import Flag, Number, NumberRow, NumberRows, Size, matrix
 from cosim.scenario.kinds.base import (
+    Advising,
     BuildContext,
     ExportableKind,
     LinearKind,
@@ -29,7 +30,6 @@ from cosim.scenario.kinds.base import (
     Wiring,
     unit_of,
 )
-from cosim.scenario.kinds.capabilities import Advising
 from cosim.scenario.kinds.jumps import seen_late
 from cosim.scenario.kinds.values import LinearSystem
 

@@ -16,8 +16,15 @@ from cosim.errors import UsageError, nearest
 from cosim.fmi.driving.solvers import SOLVERS, STEPPING
 from cosim.instants import NANOSECONDS, Grid
 from cosim.scenario.document.schema import Flag, Number, NumberRow, Whole
-from cosim.scenario.kinds.base import BuildContext, Kind, LinearKind, LinearNearStart, PeriodicKind
-from cosim.scenario.kinds.capabilities import HasDescription, HasGivenStates
+from cosim.scenario.kinds.base import (
+    BuildContext,
+    HasDescription,
+    HasGivenStates,
+    Kind,
+    LinearKind,
+    LinearNearStart,
+    PeriodicKind,
+)
 from cosim.scenario.kinds.initial_states import GivenStates
 from cosim.scenario.kinds.values import LinearSystem, Sampling, StepDependence
 from cosim.scenario.record import component_record

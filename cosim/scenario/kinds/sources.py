@@ -27,8 +27,7 @@ from cosim.native.numerics.expression import FUNCTIONS, compile_expression
 from cosim.native.numerics.jumps import depends_on_time, jumps, jumps_with_signals
 from cosim.scenario.document.schema import Flag, Number, NumberRow, Size, Whole
 from cosim.scenario.kinds.alphas import ALPHA, alpha_connections, alphas_of, naming
-from cosim.scenario.kinds.base import BuildContext, Kind, PeriodicKind
-from cosim.scenario.kinds.capabilities import Advising
+from cosim.scenario.kinds.base import Advising, BuildContext, Kind, PeriodicKind
 from cosim.scenario.kinds.jumps import check_continuous, check_sampled, seen_late
 from cosim.scenario.kinds.terms import LINEAR, ValuedTerm, element_count, function_text
 from cosim.scenario.kinds.values import ImpliedConnection, StepDependence

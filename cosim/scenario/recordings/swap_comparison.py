@@ -29,9 +29,8 @@ from cosim.scenario.building.build import Builder, read
 from cosim.scenario.building.coupling import with_loop_gains
 from cosim.scenario.building.experiment import Experiment, warnings_among
 from cosim.scenario.document.swaps import ports_in
-from cosim.scenario.kinds.base import LinearNearStart, Scenario
+from cosim.scenario.kinds.base import HasDescription, LinearNearStart, Scenario
 from cosim.scenario.kinds.build_record import Resources, unpacked_in
-from cosim.scenario.kinds.capabilities import HasDescription
 from cosim.scenario.kinds.values import LinearSystem
 from cosim.scenario.record import component_metadata, component_record
 from cosim.scenario.recordings.port_comparison import (

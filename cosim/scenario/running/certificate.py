@@ -40,8 +40,7 @@ from cosim.instants import NANOSECONDS, step_part, step_seconds, step_value
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.document import short
 from cosim.scenario.document.schema import ActionTable
-from cosim.scenario.kinds.base import Scenario
-from cosim.scenario.kinds.capabilities import DecidedByStep
+from cosim.scenario.kinds.base import DecidedByStep, Scenario
 from cosim.scenario.record import CERTIFICATE, RecordedCertificate, StepSearch
 from cosim.scenario.recordings.recording import Progress, build_experiment, run_into
 from cosim.scenario.running.thinned_rows import QUARTERS, JumpWatch, ThinnedRows
