@@ -131,6 +131,7 @@ class Builder:
         self.given_states: dict[str, GivenStates] = {}
         self.unknown: set[str] = set()
         self.periods: dict[str, int] = {}
+        self._dependent: list[Problem] = []  # components that rest on what is wrong with others
         self._cause: Exception | None = None  # of the first problem that was raised
         recording = origins.recording
         self._declared: Mapping[str, Channel] = {}  # all that a recorded run had
@@ -143,6 +144,8 @@ class Builder:
             self.problems += unknown_ports(scenario.tree, entries, interface)
         for name, spec in scenario.specs.items():
             self._build(name, spec)
+        if not self.problems:  # of what is not built here, which would have told itself
+            self.problems += [(place, text) for place, text in self._dependent if text]
         # what is read from now on is told of the last one, in a part of a scenario as in the whole
         self.context.go_on(*list((beside or scenario).specs)[-1:])
         self._connections: Mapping[Port, Connection] = scenario.connections
@@ -253,8 +256,8 @@ class Builder:
                 given = spec.given_states(name, self.context)
                 if given is not None:
                     self.given_states[name] = given
-        except DependsOnInvalid:
-            pass
+        except DependsOnInvalid as error:
+            self._dependent.append((place, str(error)))
         except NotImported:
             self.unknown.add(name)
         except (CosimError, ValueError) as error:

@@ -278,6 +278,8 @@ class BuildRecord:
         """
         try:
             yield
+        except (DependsOnInvalid, NotImported):
+            raise
         except (CosimError, ValueError) as error:
             if self.current in ("", name):
                 raise

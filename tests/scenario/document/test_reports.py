@@ -2,6 +2,7 @@
 
 import re
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -116,6 +117,17 @@ def test_a_misspelt_key_hides_no_wrong_connection_of_its_component():
     assert "components.u.amplitud" in lines[0]
     assert "connections.plant.u" in lines[1]
     assert "did you mean 'y'" in lines[1]
+
+
+def test_what_rests_on_a_component_that_is_not_built_is_told_all_the_same():
+    """Of a part of a scenario: the observer, whose design the regressor reads, is not in it."""
+    text = edited(("L = [4.0, 0.0]", "L = [-4.0, 0.0]"))
+    whole = parse(Document(text, "x.toml", Path.cwd()))
+    part = replace(whole, specs={n: s for n, s in whole.specs.items() if n != "observer"})
+    with ExitStack() as resources:
+        problems = Builder(part, resources, beside=whole).problems
+    assert problems[0][0] == ("components", "regressor")
+    assert "Hurwitz" in problems[0][1]
 
 
 def test_a_path_of_windows_in_double_quotes_names_the_way_out():
