@@ -734,11 +734,12 @@ class BuildContext(BuildRecord):
         UsageError
             If it is made of signals that lag differently.
         """
+        connections = self._scenario.connections
         lags: dict[float, Port] = {}
         seen: set[str] = set()
-        waiting = [to]
-        while waiting:
-            for source in self._sources(waiting.pop()):
+        waiting = [port for port in connections if to in (port, port.whole)]
+        for port in waiting:  # grows on the way
+            for source in (source.whole for source in connections[port].sources):
                 name = source.component
                 spec = self._specs.get(name)
                 if spec is None:
@@ -748,7 +749,7 @@ class BuildContext(BuildRecord):
                     lags[self._lag_of(spec, source)] = source
                 elif name not in seen:
                     seen.add(name)
-                    waiting += self._inputs(name)
+                    waiting += [port for port in connections if port.component == name]
         if len(lags) > 1:
             sources = ", ".join(f"{source} by {lag:g} s" for lag, source in lags.items())
             raise UsageError(f"{to.name!r}: expected signals with equal lags, got {sources}")
@@ -760,19 +761,6 @@ class BuildContext(BuildRecord):
             return component_record(recording, source.component).lags.get(source.signal, 0.0)
         with self.reported_by(source.component):
             return spec.lag(source.component, source.signal, self)
-
-    def _sources(self, to: Port) -> list[Port]:
-        """Return the outputs that drive an input or its elements."""
-        sources: list[Port] = []
-        for port, connection in self._scenario.connections.items():
-            if port.component == to.component and to in (port, port.whole):
-                sources += [source.whole for source in connection.sources]
-        return sources
-
-    def _inputs(self, name: str) -> list[Port]:
-        """Return the inputs of a component that something drives."""
-        ports = {port.whole for port in self._scenario.connections if port.component == name}
-        return sorted(ports, key=str)
 
     def known(self, source: Port) -> KnownSignal | None:
         """Return an output, or an element of one, as a function of time, where that is known."""
