@@ -42,7 +42,6 @@ from cosim.report.summary import (
     summarize,
 )
 from cosim.report.tables.console import Shown, new_table
-from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.document import component_in, short
 from cosim.scenario.document.swaps import (
     PortNames,
@@ -50,6 +49,7 @@ from cosim.scenario.document.swaps import (
     marked_path,
     port_names,
 )
+from cosim.scenario.kinds.base import Scenario
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.variants import METHODS, IdentificationMethod, foreign_keys
 from cosim.scenario.record import recorded_identification, truth_of
@@ -579,7 +579,7 @@ def compare_estimators(
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
     edited = loaded.edit(swap=swap, map=map, set=mapping_argument("set", set))
     component = _identifier(edited)
-    table = edited.document.tree()[0]["components"][component]
+    table = edited.document.tables().tree["components"][component]
     targets = log_paths(out, [edited.name, *methods], partial(check_target, force=force))
     results = []
     with ExitStack() as resources:

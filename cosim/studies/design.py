@@ -22,15 +22,10 @@ from numpy.typing import NDArray
 from cosim.arrays import Matrix, Vector
 from cosim.errors import UsageError, option, quoted
 from cosim.files import file_type
-from cosim.scenario.building.parsing import Scenario
-from cosim.scenario.document.document import (
-    ACTIONS,
-    COMPONENTS,
-    component_in,
-    parts_of,
-    short,
-)
+from cosim.scenario.document.document import component_in, parts_of, short
 from cosim.scenario.document.places import PORTS
+from cosim.scenario.document.schema import ACTIONS, COMPONENTS
+from cosim.scenario.kinds.base import Scenario
 from cosim.scenario.recordings.replaying import texts_in
 from cosim.studies.cases import packed, read_cases
 from cosim.studies.contracts import MOST_MEMBERS, RECORDING, SWAP, StudyMember, member_of

@@ -21,10 +21,10 @@ from cosim.report.comparing import attempt, log_paths, results_table
 from cosim.report.printable import print_notice
 from cosim.report.summary import ResultValue, Summary, results_of, summarize
 from cosim.report.tables.console import Shown
-from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.document import short
 from cosim.scenario.document.problems import TableProblems
 from cosim.scenario.document.swaps import PortNames
+from cosim.scenario.kinds.base import Scenario
 from cosim.scenario.recordings.recording import Progress, Target
 from cosim.scenario.recordings.replay_request import ReplayRequest
 from cosim.scenario.running.replay import Replays, replays_of

@@ -34,7 +34,7 @@ def show_catalog() -> Shown:
 
     scenarios = {}
     for name in shipped():
-        tree, _ = find(name).tree()
+        tree = find(name).tables().tree
         scenarios[name] = tree["scenario"].get("description", "")
     installed = []
     for entries in installed_classes().values():

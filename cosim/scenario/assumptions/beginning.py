@@ -19,11 +19,12 @@ from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.errors import AssumptionError, RunError, UsageError, option
 from cosim.native.step import LARGEST_MEMORY
-from cosim.scenario.building.build import Builder, out_of_range
+from cosim.scenario.building.build import Builder
 from cosim.scenario.building.coupling import CouplingReport, coupling_reports
 from cosim.scenario.building.experiment import Experiment, warnings_among
-from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.places import Problem
+from cosim.scenario.document.problems import out_of_range
+from cosim.scenario.kinds.base import Scenario
 from cosim.scenario.kinds.build_record import DependsOnInvalid
 from cosim.scenario.kinds.capabilities import change_text, changed_states
 from cosim.scenario.kinds.identification import IdentifierKind

@@ -23,9 +23,10 @@ from pydantic import (
     model_validator,
 )
 
+from cosim.core.clock import Clock
 from cosim.core.recorded.partial import RecordSelection
 from cosim.errors import quoted
-from cosim.scenario.document.places import Problem
+from cosim.scenario.document.places import PORTS, Problem
 from cosim.scenario.document.problems import TableProblems
 from cosim.units import base_unit, unknown_unit
 
@@ -47,6 +48,14 @@ Size = Annotated[Whole, Field(ge=1, le=100_000)]  # of a signal
 Flag = Annotated[bool, Field(strict=True)]
 NumberRow = tuple[Number, ...]
 NumberRows = tuple[NumberRow, ...]
+
+
+def _check_rows(rows: NumberRows) -> NumberRows:
+    matrix(rows)
+    return rows
+
+
+MatrixRows = Annotated[NumberRows, AfterValidator(_check_rows)]  # where nothing else may stand
 Limit = Annotated[float, Field(strict=True)]  # inf: there is none
 
 
@@ -134,6 +143,20 @@ def _check_name(name: str) -> str:
 
 Name = Annotated[str, AfterValidator(_check_name)]
 
+ACTIONS: Final = "actions"  # a list of tables
+COMPONENTS: Final = "components"
+# names that a short key of an edit could not tell from those of tables
+RESERVED: Final = ("scenario", "models", *PORTS, ACTIONS, "record", "swap", COMPONENTS)
+
+
+def _check_reserved(name: str) -> str:
+    if name in RESERVED:
+        raise ValueError(f"expected another name than that of a table of the file, got {name!r}")
+    return name
+
+
+ComponentName = Annotated[Name, AfterValidator(_check_reserved)]
+
 
 class TomlTable(BaseModel):
     """A table of the file: frozen, no unknown keys, no conversions between types.
@@ -208,6 +231,17 @@ class Settings(TomlTable):
     )
     description: str = Field("", description="one line of text for 'cosim list' and reports")
 
+    @property
+    def clock(self) -> Clock:
+        """The clock of the run, with blocks of any size.
+
+        Raises
+        ------
+        ClockError
+            If one of its times is off the grid.
+        """
+        return Clock(self.stop, self.step, start_time=self.start_time)
+
 
 class ModelTable(TomlTable):
     """A table of [models], in one of two forms.
@@ -218,15 +252,15 @@ class ModelTable(TomlTable):
     n_a: Whole | None = Field(
         None, ge=1, description="number of dynamic states of a partitioned model A, Bu, Bd, C"
     )
-    E: NumberRows | None = Field(None, description="square matrix of E x'; default: identity")
-    A: NumberRows | None = Field(None, description="square matrix; required without file")
-    B: NumberRows | None = Field(None, description="one column per input; or give Bu and Bd")
-    Bu: NumberRows | None = Field(None, description="columns of the known inputs u")
-    Bd: NumberRows | None = Field(None, description="columns of the disturbances delta")
-    C: NumberRows | None = Field(None, description="one row per output; required without file")
-    D: NumberRows | None = Field(None, description="direct feedthrough, columns as B; default: 0")
-    Du: NumberRows | None = Field(None, description="direct feedthrough, columns as Bu; default: 0")
-    Dd: NumberRows | None = Field(None, description="direct feedthrough, columns as Bd; default: 0")
+    E: MatrixRows | None = Field(None, description="square matrix of E x'; default: identity")
+    A: MatrixRows | None = Field(None, description="square matrix; required without file")
+    B: MatrixRows | None = Field(None, description="one column per input; or give Bu and Bd")
+    Bu: MatrixRows | None = Field(None, description="columns of the known inputs u")
+    Bd: MatrixRows | None = Field(None, description="columns of the disturbances delta")
+    C: MatrixRows | None = Field(None, description="one row per output; required without file")
+    D: MatrixRows | None = Field(None, description="direct feedthrough, columns as B; default: 0")
+    Du: MatrixRows | None = Field(None, description="direct feedthrough, columns as Bu; default: 0")
+    Dd: MatrixRows | None = Field(None, description="direct feedthrough, columns as Bd; default: 0")
     disturbances: tuple[Whole, ...] | None = Field(
         None, description="indices of the columns of B that are unknown, from 0; default: none"
     )
@@ -393,7 +427,7 @@ class File(TomlTable):
 
     scenario: Settings = Field(description="the table [scenario] with name, stop and step")
     models: dict[str, ModelTable] = {}
-    components: dict[Name, dict[str, Any]] = Field(
+    components: dict[ComponentName, dict[str, Any]] = Field(
         description="a table [components.NAME] for each, with its kind"
     )
     connections: dict[str, str | list[str] | ConnectionTable] = {}
@@ -404,7 +438,7 @@ class File(TomlTable):
     study: dict[str, Any] = {}  # of many runs of the scenario; validated where these are planned
 
 
-def matrix(rows: NumberRows, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+def matrix(rows: NumberRows, name: str = "") -> np.ndarray[Any, np.dtype[np.float64]]:
     """Convert rows to a matrix.
 
     Raises
@@ -414,9 +448,9 @@ def matrix(rows: NumberRows, name: str) -> np.ndarray[Any, np.dtype[np.float64]]
     """
     lengths = [len(row) for row in rows]
     if not rows or len(set(lengths)) != 1 or lengths[0] == 0:
+        where = f"{name}: " if name else ""
         raise ValueError(
-            f"{name}: expected rows of equal length, such as [[0, 1], [2, 3]], got lengths "
-            f"{lengths}"
+            f"{where}expected rows of equal length, such as [[0, 1], [2, 3]], got lengths {lengths}"
         )
     return np.array(rows, dtype=np.float64)
 

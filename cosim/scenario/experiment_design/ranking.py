@@ -15,9 +15,9 @@ import numpy as np
 from cosim.arguments import mapping_argument, truth_argument
 from cosim.arrays import Vector
 from cosim.errors import AssumptionError, CosimError, UsageError
-from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.document import plain, short
 from cosim.scenario.experiment_design.trial import DesignSubject, Trial
+from cosim.scenario.kinds.base import Scenario
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.identified_plant import OUTPUT_ERROR
 from cosim.scenario.kinds.observer_design import DEFAULT_ORDER, FILTERS

@@ -24,7 +24,7 @@ from cosim.core.recorders import Memory
 from cosim.errors import UsageError, option
 from cosim.scenario.assumptions.beginning import disturbance_among, noise_of, parameters_by_term
 from cosim.scenario.building.build import Builder
-from cosim.scenario.building.parsing import Scenario
+from cosim.scenario.kinds.base import Scenario
 from cosim.scenario.kinds.field_data import FieldDataKind
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.identified_plant import (

@@ -200,8 +200,9 @@ class FieldDataKind(FieldForm, PlantKind, DecidedByStep, HasSamples, RenamesMore
             if (spec.path, spec.time, spec.time_unit) == (self.path, self.time, self.time_unit):
                 together += chain.from_iterable(spec.fields(context.mapped(other)).values())
         samples = partial(
-            context.designed,
-            f"samples of {path} by {self.time} in {self.time_unit}",
+            context.made_once,
+            "fields",
+            f"{path} by {self.time} in {self.time_unit}",
             partial(read_samples, self, path, together),
         )
         return message_data(self, path, columns, samples)

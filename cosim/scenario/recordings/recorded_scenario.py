@@ -25,8 +25,7 @@ from cosim.files import read_bounded
 from cosim.log import Log
 from cosim.log.contents.metadata import json_table
 from cosim.log.contents.result import PARTIAL_STATUS
-from cosim.scenario.building.build import parse
-from cosim.scenario.building.parsing import read
+from cosim.scenario.building.build import read
 from cosim.scenario.document.document import Document
 from cosim.scenario.kinds import KINDS, Kind
 from cosim.scenario.kinds.build_record import RecordedFmu
@@ -70,7 +69,8 @@ def recorded_document(log: CompleteRecording) -> Document:
         )
     try:
         text = log.attachment(SCENARIO_FILE).decode()
-        document = Document.recorded(text, edits, Path.cwd())
+        what = f"{log.label}: its scenario"
+        document = Document.recorded(text, edits, Path.cwd(), what)
         return replace(document, foreign_kinds=_foreign_kinds(log))
     except ValueError as error:
         raise LogError(f"{log.label}: its scenario cannot be understood: {error}") from error
@@ -100,8 +100,7 @@ def recorded_stop(log: CompleteRecording) -> float:
     ScenarioError
         If that is no TOML.
     """
-    scenario, _ = read(recorded_document(log), parse)
-    return scenario.file.scenario.stop
+    return read(recorded_document(log)).file.scenario.stop
 
 
 # --- its rows ---

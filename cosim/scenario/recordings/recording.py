@@ -38,13 +38,12 @@ from cosim.native.fmi.process import report_log
 from cosim.scenario.building.build import Builder
 from cosim.scenario.building.coupling import with_loop_gains
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.building.parsing import Scenario
-from cosim.scenario.kinds.build_record import Origins
+from cosim.scenario.kinds.base import Scenario
+from cosim.scenario.kinds.build_record import unpacked_in
 from cosim.scenario.recordings.log_contents import attachments_of, metadata_of
 from cosim.scenario.recordings.message_recorder import MessageRecorder
 
 if TYPE_CHECKING:
-    from cosim.fmi.unpacked import UnpackedFmus
     from cosim.scenario.recordings.swap_report import SwapReports
 
 Progress = Callable[[float, float], None]  # simulated time, end [s]
@@ -124,8 +123,6 @@ def check_target(out: str | Path | None, *, force: bool = False, numbered: bool 
 def build_experiment(
     scenario: Scenario,
     resources: ExitStack,
-    *,
-    unpacked: UnpackedFmus | None = None,
     reports: SwapReports | None = None,
 ) -> Experiment:
     """Build a scenario; one with swaps is compared with what it was, for its log and warnings.
@@ -135,8 +132,6 @@ def build_experiment(
     scenario : Scenario
     resources : ExitStack
         Closes what was opened, when the run is over.
-    unpacked : UnpackedFmus, optional
-        Where FMUs are unpacked and loaded for all builds of a process.
     reports : SwapReports, optional
         How the swaps compare, where that is known.
 
@@ -148,12 +143,12 @@ def build_experiment(
     if scenario.file.swap and reports is None:
         from cosim.scenario.recordings.swap_comparison import compare_swaps  # few runs need it
 
-        reports = compare_swaps(scenario, unpacked)
+        reports = compare_swaps(scenario, unpacked_in(resources))
         reports.check()
     replaced = None if reports is None else reports.replaced
 
     def build() -> Experiment:
-        builder = Builder(scenario, resources, Origins(unpacked=unpacked), replaced=replaced)
+        builder = Builder(scenario, resources, replaced=replaced)
         return with_reports(builder.experiment(), reports)
 
     def rebuild() -> Experiment:

@@ -38,7 +38,7 @@ from cosim.instants import Grid, step_value
 from cosim.scenario.document.swaps import PortNames
 
 if TYPE_CHECKING:
-    from cosim.scenario.building.parsing import Scenario
+    from cosim.scenario.kinds.base import Scenario
 
 
 @dataclass(kw_only=True, slots=True)

@@ -35,8 +35,8 @@ from cosim.core.structure.cycles import strongly_connected
 from cosim.errors import LogError, UsageError, command, flag, listing, nearest, quoted
 from cosim.instants import step_seconds
 from cosim.log.contents.metadata import json_table
-from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.kinds import Kind
+from cosim.scenario.kinds.base import Scenario
 
 _NOT_RECORDED: Final = "which is neither computed nor recorded at each step"
 _OF_OUTPUTS: Final = ("jump", "follow")  # causes of events that change no input

@@ -11,7 +11,7 @@ import os
 from collections.abc import Iterator, Mapping, Set
 from contextlib import ExitStack
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -25,10 +25,10 @@ from cosim.instants import NANOSECONDS, step_value
 from cosim.log import Log
 from cosim.log.comparison.event_difference import OF_COMPONENTS
 from cosim.log.contents.metadata import decode_design
-from cosim.scenario.building.build import Builder, parse
+from cosim.scenario.building.build import Builder, read
 from cosim.scenario.building.experiment import Experiment, fingerprint
-from cosim.scenario.building.parsing import read
-from cosim.scenario.document.document import ACTIONS, Document, short, shown
+from cosim.scenario.document.document import Document, short, shown
+from cosim.scenario.document.schema import ACTIONS
 from cosim.scenario.document.swaps import component_table as swapped_table
 from cosim.scenario.document.swaps import is_map_key
 from cosim.scenario.kinds.build_record import Origins, RecordedFmu
@@ -52,9 +52,6 @@ from cosim.scenario.recordings.recorded_scenario import (
 from cosim.scenario.recordings.recording import with_reports
 from cosim.scenario.recordings.replay_request import ReplayRequest, ReplayWindow, window_of
 from cosim.scenario.recordings.replayed_part import replayed_part, way_out
-
-if TYPE_CHECKING:
-    from cosim.fmi.unpacked import UnpackedFmus
 
 _RECORDED: Final = "as recorded"
 _OF_ALL_INPUTS: Final = frozenset(
@@ -89,8 +86,6 @@ class RebuiltRun:
     request : ReplayRequest
     resources : ExitStack
         Closes what was opened.
-    unpacked : UnpackedFmus, optional
-        Where FMUs are unpacked and loaded for all builds of a process.
 
     Attributes
     ----------
@@ -118,7 +113,6 @@ class RebuiltRun:
         source: CompleteRecording,
         request: ReplayRequest,
         resources: ExitStack,
-        unpacked: UnpackedFmus | None = None,
     ) -> None:
         check_rows(source)
         self._source = source
@@ -135,10 +129,11 @@ class RebuiltRun:
         self._original = recorded_document(source)
         # a run may have ended before its stop
         document = self._edited({**self._changes, "scenario.stop": stop})
-        self.scenario, problems = read(document, parse)
+        self.scenario = read(document)
+        problems = self.scenario.problems
         if not request.maps:
             # recorded ports have the scenario's names: a map need not fit changed connections
-            problems = [(key, text) for key, text in problems if not is_map_key(key)]
+            problems = tuple((key, text) for key, text in problems if not is_map_key(key))
         named = self._named(document)
         specs = dict(self.scenario.specs)
         for name, spec in specs.items():
@@ -149,7 +144,7 @@ class RebuiltRun:
         if request.rerun:
             again, fmus_again = rerun_plants(source, specs, request, resources)
             specs |= again
-        self.scenario = replace(self.scenario, specs=specs)
+        self.scenario = replace(self.scenario, specs=specs, problems=problems)
         self.part = replayed_part(source, self.scenario, request.components)
         load_rows(source, [name for name in self.part.copied if name in source.channels])
         declared = declared_channels(source.channels)
@@ -162,9 +157,7 @@ class RebuiltRun:
                 named=named,
                 left_out=self.part.left_out,
                 fmus_again=fmus_again,
-                unpacked=unpacked,
             ),
-            problems=problems,
             replaced=replaced,
             beside=self.scenario,
         )
@@ -360,9 +353,9 @@ class RebuiltRun:
         # a recorded one passes nothing on
         free = {name: drivers[name] for name in drivers if name not in copied}
         behind = {name: reached_from(drivers[name], free).keys() for name in copied}
-        before, _ = self._original.tree()
+        before = self._original.tables().tree
         for change, document in self._changed_documents():
-            after, _ = document.tree()
+            after = document.tables().tree
             refusal = self._refusal(_changed_tables(before, after), behind)
             if refusal:
                 raise UsageError(f"{change}: {refusal}")
@@ -434,7 +427,6 @@ def prepared_replay(
     source: Log,
     request: ReplayRequest,
     resources: ExitStack,
-    unpacked: UnpackedFmus | None = None,
 ) -> Experiment:
     """Build the replay of a log, with what it takes from there; parameters as of RebuiltRun.
 
@@ -447,7 +439,7 @@ def prepared_replay(
     UsageError
         If the recording cannot follow what is changed.
     """
-    run = RebuiltRun(source, request, resources, unpacked)
+    run = RebuiltRun(source, request, resources)
     run.check_changes()
     experiment = run.experiment
     part = run.part

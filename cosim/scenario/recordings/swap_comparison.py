@@ -23,13 +23,12 @@ from cosim.core.signals import Interface
 from cosim.errors import CosimError, ScenarioError
 from cosim.fmi.description import INTERFACE_TYPE_NAMES
 from cosim.log.contents.metadata import json_table
-from cosim.scenario.building.build import Builder, parse
+from cosim.scenario.building.build import Builder, read
 from cosim.scenario.building.coupling import with_loop_gains
 from cosim.scenario.building.experiment import Experiment, warnings_among
-from cosim.scenario.building.parsing import Scenario, read
 from cosim.scenario.document.swaps import ports_in
-from cosim.scenario.kinds.base import LinearNearStart
-from cosim.scenario.kinds.build_record import Origins
+from cosim.scenario.kinds.base import LinearNearStart, Scenario
+from cosim.scenario.kinds.build_record import Resources
 from cosim.scenario.kinds.capabilities import HasDescription
 from cosim.scenario.kinds.values import LinearSystem
 from cosim.scenario.record import component_metadata, component_record
@@ -64,15 +63,13 @@ def compare_swaps(scenario: Scenario, unpacked: UnpackedFmus | None = None) -> S
     ScenarioError
         If nothing of the scenario can be built.
     """
-    origins = Origins(unpacked=unpacked)
     before: dict[str, DescribedComponent] = {}
     replaced: dict[str, Interface] = {}
     unbuilt: dict[str, str] = {}
-    with ExitStack() as resources, suppress(CosimError):
-        original, problems = read(scenario.document.unswapped(), parse)
-        builder = Builder(original, resources, origins, problems=problems)
+    with Resources(unpacked) as resources, suppress(CosimError):
+        builder = Builder(read(scenario.document.unswapped()), resources)
         built = _Built(builder)
-        for name in scenario.document.swapped_components():
+        for name in scenario.document.tables().replaced:
             if name in builder.components:
                 before[name] = built.described(name)
                 replaced[name] = builder.components[name].interface
@@ -80,8 +77,8 @@ def compare_swaps(scenario: Scenario, unpacked: UnpackedFmus | None = None) -> S
             for key, text in builder.problems:
                 if key[:2] == ("components", name):
                     unbuilt.setdefault(name, text)
-    with ExitStack() as resources:
-        builder = Builder(scenario, resources, origins, replaced=replaced)
+    with Resources(unpacked) as resources:
+        builder = Builder(scenario, resources, replaced=replaced)
         built = _Built(builder)
         warnings = list(builder.context.warnings)
         warnings += warnings_among({n: fmu.drain() for n, fmu in builder.context.fmus.items()})

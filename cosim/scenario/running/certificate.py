@@ -38,9 +38,9 @@ from cosim.documents import plain
 from cosim.errors import CosimError, FmuError, Interrupted, RunError, UsageError, option
 from cosim.instants import NANOSECONDS, step_part, step_seconds, step_value
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.document import short
 from cosim.scenario.document.schema import ActionTable
+from cosim.scenario.kinds.base import Scenario
 from cosim.scenario.kinds.capabilities import DecidedByStep
 from cosim.scenario.record import CERTIFICATE, RecordedCertificate, StepSearch
 from cosim.scenario.recordings.recording import Progress, build_experiment, run_into

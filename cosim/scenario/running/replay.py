@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import Any, final
 
 from cosim.arguments import (
     callable_argument,
@@ -29,8 +29,8 @@ from cosim.log.foreign.topics import is_foreign
 from cosim.log.mcap_file.paths import log_path
 from cosim.log.mcap_file.rotation import all_parts
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.swaps import PortNames, WrittenPorts, ports_in
+from cosim.scenario.kinds.base import Scenario
 from cosim.scenario.recordings.recorded_scenario import is_large
 from cosim.scenario.recordings.recording import (
     LiveView,
@@ -44,9 +44,6 @@ from cosim.scenario.recordings.recording import (
 from cosim.scenario.recordings.replay_request import ReplayRequest, window_of
 from cosim.scenario.recordings.replaying import designs_anew, prepared_replay
 from cosim.scenario.running.execution import load
-
-if TYPE_CHECKING:
-    from cosim.fmi.unpacked import UnpackedFmus
 
 
 @final
@@ -69,21 +66,13 @@ class Replays:
     source: Log | Scenario
     request: ReplayRequest
 
-    def experiment(
-        self,
-        values: Mapping[str, Any],
-        resources: ExitStack,
-        unpacked: UnpackedFmus | None = None,
-    ) -> Experiment:
-        """Build the replay with some values, to run it into a recorder of one's own.
-
-        FMUs are unpacked into ``unpacked`` for all replays; without it, for this one.
-        """
+    def experiment(self, values: Mapping[str, Any], resources: ExitStack) -> Experiment:
+        """Build the replay with some values, to run it into a recorder of one's own."""
         changes = {**self.request.changes, **values}
         if isinstance(self.source, Log):
             request = replace(self.request, set=changes)
-            return prepared_replay(self.source, request, resources, unpacked)
-        experiment = build_experiment(self.source.edit(set=changes), resources, unpacked=unpacked)
+            return prepared_replay(self.source, request, resources)
+        experiment = build_experiment(self.source.edit(set=changes), resources)
         experiment.clock = replace(experiment.clock, block=self.request.block)
         return experiment
 

@@ -21,7 +21,7 @@ from cosim.core.graph import Graph
 from cosim.core.recorded.signals import find_signal
 from cosim.errors import CosimError, Interrupted, RunError, UnknownSignalError, UsageError, option
 from cosim.instants import NANOSECONDS, step_value
-from cosim.scenario.building.parsing import Scenario
+from cosim.scenario.kinds.base import Scenario
 from cosim.scenario.record import StepSearch, StepTrial
 from cosim.scenario.recordings.recording import Progress, build_experiment
 from cosim.scenario.running.certificate import FINER, QUARTERS, Certification

@@ -546,3 +546,19 @@ def test_a_partial_log_whose_inputs_changed_otherwise_is_refused(part, tmp_path)
     for window in (None, (0.1, 0.2)):
         with pytest.raises(LogError, match="'observer' cannot be computed as in the run"):
             cosim.replay(path, window=window)
+
+
+def test_a_part_rests_on_what_it_rests_on_in_the_whole_run(tmp_path):
+    """What the observer reads to warn of its filter is no reason of another component's design."""
+    lag = {"kind": "lag", "time_constant": 1.0}
+    more = {"components.a": lag, "connections.a.u": "u.y"}  # computed: the last one of the replay
+    more |= {"components.b": lag, "connections.b.u": "plant.y"}  # absent: the last one of the run
+    log = cosim.run(
+        "academic",
+        out=tmp_path / "a.mcap",
+        set={**more, "scenario.stop": 0.2, "scenario.step": 0.01, **recorded(["regressor.delta"])},
+    )
+    again = cosim.replay(log)
+    assert set(replay_origin(again).absent) >= {"plant", "b"}
+    verification = verify(log, again)
+    assert verification.passed, verification.problems
