@@ -201,9 +201,7 @@ def summarize(recording: RecordedRun) -> Summary:
     for estimate, true in truth.items():
         ports = named_ports(true)
         if ports:
-            signals.append(
-                _signal_error(recording, estimate, ports, since if since <= end else 0.0)
-            )
+            signals.append(_signal_error(recording, estimate, ports, since))
         else:
             values += _value_outcomes(recording, estimate, np.atleast_1d(true).tolist(), unknown)
     changed_states: list[record.StateChange] = []

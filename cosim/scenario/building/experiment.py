@@ -114,7 +114,7 @@ class Experiment:
         return bool(acts or self.graph.layout.jumping)
 
     def prepare_settings(self, recorded: Mapping[str, Design]) -> dict[str, str]:
-        """Prepare."""
+        """Prepare the variants of all settings; return their designs, encoded, by time and name."""
         designs = {}
         for (time_ns, name), action in self.settings.items():
             for component in action.variants.values():

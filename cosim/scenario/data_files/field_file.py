@@ -24,10 +24,10 @@ from decimal import Decimal
 from functools import partial
 from itertools import chain, groupby, pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
-from pydantic import Field, StrictStr, ValidationError
+from pydantic import AfterValidator, Field, StrictStr, ValidationError
 
 from cosim.arrays import NAN, Matrix, Vector
 from cosim.blocks.field_data import FieldData, FieldSignal, elements_named
@@ -41,6 +41,7 @@ from cosim.scenario.data_files.table import (
     TableForm,
     find_headers,
     is_number,
+    is_time_word,
     second_of,
     seconds_in,
     unit_of,
@@ -49,6 +50,7 @@ from cosim.scenario.data_files.tables import read_table
 from cosim.scenario.document.document import plain
 from cosim.scenario.document.problems import TableProblems, problems_of
 from cosim.scenario.document.schema import Number, Whole
+from cosim.units import base_unit, unknown_unit
 
 if TYPE_CHECKING:
     from cosim.log.foreign.samples import FieldSamples
@@ -59,6 +61,15 @@ _MOST_NS: Final = 2**63
 _LONG_GAP: Final = 2  # median distances that are worth a word
 
 SamplesByField: TypeAlias = "Mapping[str, FieldSamples]"
+
+
+def _time_unit(name: str) -> str:
+    if not is_time_word(name) and base_unit(name) is None:
+        raise ValueError(unknown_unit(name))
+    return name
+
+
+TimeUnit: TypeAlias = Annotated[str, AfterValidator(_time_unit)]
 
 
 class FieldForm(TableForm):
@@ -76,7 +87,7 @@ class FieldForm(TableForm):
         'time, the one of dates, or the first, with a warning; MCAP: "log_time" '
         '(default), "publish_time", or a field such as "header.stamp"',
     )
-    time_unit: str | None = Field(
+    time_unit: TimeUnit | None = Field(
         None, description="unit of the times; default: from the column name, as in t [ms], or s"
     )
     offset: Whole | Number | Literal["first"] | None = Field(

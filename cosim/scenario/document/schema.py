@@ -28,7 +28,6 @@ from cosim.core.recorded.partial import RecordSelection
 from cosim.errors import quoted
 from cosim.scenario.document.places import PORTS, Problem
 from cosim.scenario.document.problems import TableProblems
-from cosim.units import base_unit, unknown_unit
 
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 
@@ -102,19 +101,12 @@ Pole = Annotated[complex, PlainValidator(_pole)]
 PoleRow = tuple[Pole, ...]
 
 
-def _known_unit(name: str) -> str:
-    if base_unit(name) is None:
-        raise ValueError(unknown_unit(name))
-    return name
-
-
 def _any_unit(name: str) -> str:
     if not name.strip():
         raise ValueError(f"expected a unit, such as mm, or none, got {name!r}")
     return name
 
 
-UnitName = Annotated[str, AfterValidator(_known_unit)]
 AnyUnit = Annotated[str, AfterValidator(_any_unit)]  # also one that is not known
 
 MOST_NAME_BYTES = 100  # in UTF-8: file names with it have at most 255

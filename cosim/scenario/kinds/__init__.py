@@ -73,7 +73,7 @@ More bases, in :mod:`cosim.scenario.kinds.base`:
 * ``ExportableKind`` needs ``build``, and ``exportable``, which returns the model that the FMU is
   made of.
 * What only some kinds can do, such as warnings that depend on what drives the inputs, has a base
-  each in :mod:`cosim.scenario.kinds.base`.
+  each in :mod:`cosim.scenario.kinds.capabilities`.
 '''
 
 from __future__ import annotations

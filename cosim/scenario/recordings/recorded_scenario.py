@@ -145,10 +145,10 @@ def check_rows(source: CompleteRecording) -> None:
                     f"; it is partial, {source.reason}: 'cosim merge' joins parts, 'cosim cut "
                     "--to' keeps what is complete"
                 )
+            found = f"{count}, from {first_ns / 1e9} s to {last_ns / 1e9} s" if count else "none"
             raise LogError(
                 f"{source.label}: a replay requires all rows from {begin_ns / 1e9} s to "
-                f"{end_ns / 1e9} s, {needed} of {name!r}, got {count}, from {first_ns / 1e9} s to "
-                f"{last_ns / 1e9} s{way_out}"
+                f"{end_ns / 1e9} s, {needed} of {name!r}, got {found}{way_out}"
             )
 
 

@@ -65,11 +65,12 @@ class LiveView(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Where a run is recorded: over or beside a log that is there; None: in memory.
+    """Where a run is recorded: over or beside a log that is there, or in memory.
 
     Parameters
     ----------
     out : str, Path or None
+        None: in memory.
     force, numbered : bool
     notice : callable or None
     flush : float
