@@ -91,18 +91,6 @@ def test_an_export_has_a_place_by_default(call, tmp_path):
     assert call(*arguments, "--force")[0] == 0
 
 
-@pytest.mark.slow
-def test_a_sampled_controller_is_exported_for_co_simulation_only(call):
-    """A discrete component would be another one as a continuous FMU; the message says so."""
-    exported = ("export", "closed-loop", "--component", "controller")
-    code, out, _ = call(*exported, "--set", "controller.period=0.1", "--out", "c.fmu")
-    assert code == 0
-    assert "c.fmu: FMI 2.0, co-simulation, binary for" in out
-    assert "co-simulation only: a sampled controller" in out
-    code, out, _ = call(*exported, "--fmi", "3", "--out", "d.fmu")
-    assert "d.fmu: FMI 3.0, model exchange and co-simulation, binary for" in out
-
-
 @pytest.mark.usefixtures("files")
 def test_linearize_gives_matrices_poles_and_gain(call):
     """The reduced plant (28): A, its poles -1.5 +- 0.866i, the static gain -4/3 and 2/3.

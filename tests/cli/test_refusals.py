@@ -11,6 +11,7 @@ OPTIONS = {
     "run academic --dry-run --fail-on warning": "--dry-run .* --fail-on",
     "run academic --dry-run --assert rms(a.y)<1": "--dry-run .* --assert",
     "run academic --find-step a.y=1 --step 0.1": "--find-step .* --step",
+    "run academic --find-step a.y=1 --set scenario.step=0.1": "--find-step .* --set scenario.step",
     "run academic --find-step a.y=small": r"--find-step a\.y: .*'small'",
     "run academic --force": "--force .* --out",
     "run academic --rotate 1h --plot a.png": "--plot .* --rotate",

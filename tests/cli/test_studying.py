@@ -1,6 +1,5 @@
 """The commands study and tune, and the metrics of a member that is run alone."""
 
-import inspect
 import json
 import os
 import re
@@ -9,26 +8,14 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import fields
 
 import pytest
 
 import cosim
-from cosim.cli.studies import run, stopped_text
+from cosim.cli.studies import stopped_text
 from cosim.studies.plan import RecordedStudy
-from cosim.studies.study_file import StudyOptions
 
 IN_THIS_PROCESS = pytest.mark.usefixtures("files", "members_in_this_process")
-
-
-def test_all_options_of_a_study_can_be_given_everywhere():
-    """In a file, to cosim.study and on the command line, under their names."""
-    of_file = {each.name for each in fields(StudyOptions)}
-    of_function = inspect.signature(cosim.study).parameters.keys()
-    of_command = inspect.signature(run).parameters.keys()
-    assert of_file < of_function
-    assert of_file - {"metrics"} | {"metric", "stop"} < of_command
-    assert "stop" in of_function
 
 
 @IN_THIS_PROCESS
