@@ -12,6 +12,7 @@ from cosim.documents import plain
 from cosim.errors import CosimError, UsageError
 from cosim.scenario.record import IDENTIFICATION
 from cosim.scenario.running.identifying import identifier_record, identify_records
+from tests.scenario.refusals import check_refused
 
 FAST = {"scenario.step": 0.01, "observer.filter_rate": 100.0}
 
@@ -99,33 +100,25 @@ def test_an_offset_is_offered_as_the_option_that_there_is(logs):
     assert "a constant on y" not in [one.error for one in found.undetected]
 
 
-def test_options_are_those_of_the_fit(logs):
-    """An offset is one more unknown; equal bounds fix a theta."""
+def test_equal_bounds_fix_a_theta(logs):
+    """By its number, or as a row."""
     record = identifier_record(logs[0])
-    plain = identify_records([record])
-    offset = identify_records([record], offset=True)
-    assert offset.assessment.fit.freedom == plain.assessment.fit.freedom - 1
-    fixed = identify_records([record], bounds={0: (-0.1, -0.1)})
-    assert fixed.assessment.fit.theta[0] == -0.1
-    assert fixed.assessment.fit.freedom == plain.assessment.fit.freedom + 1
-    listed = identify_records([record], bounds=[[-0.1, -0.1], (-np.inf, np.inf)])
-    np.testing.assert_array_equal(listed.assessment.fit.theta, fixed.assessment.fit.theta)
+    for bounds in ({0: (-0.1, -0.1)}, [[-0.1, -0.1], (-np.inf, np.inf)]):
+        assert identify_records([record], bounds=bounds).assessment.fit.theta[0] == -0.1
 
 
-@pytest.mark.parametrize(
-    ("bounds", "text"),
-    [
-        ([[-1, 0]], "expected [lower, upper] for each of the 2 parameters"),
-        (3, "bounds: expected [lower, upper]"),
-        ({2: (0.0, 1.0)}, "bounds: no theta[2]; there are 2 parameters"),
-        ({0: 1.0}, "bounds of theta[0]: expected two numbers, [lower, upper]"),
-        ({0: (1.0, 0.0)}, "bounds of theta[0]: expected lower <= upper"),
-    ],
-)
-def test_bounds_that_are_none_are_refused(logs, bounds, text):
+NO_BOUNDS = [
+    ([[-1, 0]], r"expected \[lower, upper\] for each of the 2 parameters"),
+    (3, r"bounds: expected \[lower, upper\]"),
+    ({2: (0.0, 1.0)}, r"bounds: no theta\[2\]; there are 2 parameters"),
+    ({0: 1.0}, r"bounds of theta\[0\]: expected two numbers, \[lower, upper\]"),
+    ({0: (1.0, 0.0)}, r"bounds of theta\[0\]: expected lower <= upper"),
+]
+
+
+def test_bounds_that_are_none_are_refused(logs):
     """As rows or by index, with the same messages as in a scenario."""
-    with pytest.raises(UsageError, match=re.escape(text)):
-        cosim.identify(logs[0], bounds=bounds)
+    check_refused(NO_BOUNDS, lambda bounds: cosim.identify(logs[0], bounds=bounds))
 
 
 def test_anything_but_a_log_is_refused(logs):
@@ -160,16 +153,12 @@ def test_logs_of_other_models_are_refused(logs, other):
         found.validate(records[0])
 
 
-def test_an_identifier_that_is_not_there_is_refused(tmp_path, logs):
+def test_an_identifier_that_is_not_there_is_refused(logs):
     """Of a wrong name what there is; of none what is needed."""
     with pytest.raises(UsageError, match="no identifier 'identifer' with a model of y; did you"):
         identifier_record(logs[0], "identifer")
-    file = tmp_path / "none.toml"
-    file.write_text(
-        '[scenario]\nname="a"\nstop=1.0\nstep=0.1\n[components]\na={kind="ramp",slope=1.0}\n'
-    )
     with pytest.raises(UsageError, match="expected an identifier with a model of y, got none"):
-        identifier_record(cosim.run(file))
+        identifier_record(cosim.run("pair", stop=0.1))
 
 
 @pytest.mark.parametrize(

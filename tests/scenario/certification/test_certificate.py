@@ -10,6 +10,7 @@ from scipy.linalg import expm
 
 import cosim
 from cosim.errors import Interrupted, LogError, ScenarioError, UnknownSignalError, UsageError
+from cosim.scenario.exporting import export_component
 from cosim.scenario.running import certificate as certificate_module
 from tests.fmi import lag
 from tests.scenario import certified
