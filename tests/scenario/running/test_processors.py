@@ -34,6 +34,7 @@ lag = { kind = "lag", time_constant = 0.07, unit = "rad" }
 error = { kind = "sum", signs = [1, -0.7] }
 loop = { kind = "lag", time_constant = 0.3 }
 filtered = { kind = "lag", time_constant = 0.011, size = 20 }
+table = { kind = "table", t = [0.0, 0.3, 1.1, 2.0], y = [0.1, -0.3, 1.9, 0.7] }
 
 [components.functions]
 kind = "expression"
@@ -43,11 +44,6 @@ y = [
   "(0.3 + t)**2.7", "sqrt(t)", "abs(t - 1)",
   "min(t, 1/3) + max(t, pi)",
 ]
-
-[components.table]
-kind = "table"
-t = [0.0, 0.3, 1.1, 2.0]
-y = [[0.1, 0.2], [0.7, -0.3], [0.1, 1.9], [1.3, 0.7]]
 
 [components.disturbance]
 kind = "disturbance"
