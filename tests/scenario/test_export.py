@@ -34,44 +34,31 @@ STOP = 4.2  # s
 # theta is there at the end, and the log has every row
 START = {"scenario.stop": STOP, "identifier.start": 3.5, "identifier.period": H}
 LEAST_SQUARES = {"identifier.method": "least-squares"}
-SAMPLED = {"controller.period": 0.01}
+RUNS = {
+    "academic": ("academic", {}),
+    "closed-loop": ("closed-loop", {}),
+    "sampled": ("closed-loop", {"controller.period": 0.01}),
+    "step": ("closed-loop", {"controller.period": H}),
+    "slow": ("academic", {**LEAST_SQUARES, "identifier.period": 0.1}),
+    "held": ("academic", {**LEAST_SQUARES, "scenario.input_interpolation": "zero-order"}),
+    "online": ("academic-noisy", {"identifier.period": 0.1}),
+}
 ACADEMIC = [("academic", name) for name in ("plant", "observer", "regressor", "identifier")]
-LOOP = [("closed-loop", name) for name in ("feedback", "error", "controller")]
-# the same kinds with other signals
-AGAIN = [
-    *[("closed-loop", name) for name in ("plant", "observer", "regressor", "identifier")],
-    ("held-online", "identifier"),
-]
-SAMPLED_COMPONENTS = [
+OTHERS = [
+    *(("closed-loop", name) for name in ("feedback", "error", "controller")),
     ("sampled", "controller"),
     ("step", "controller"),
     ("slow", "identifier"),
     ("held", "identifier"),
     ("online", "identifier"),
 ]
-COMPONENTS = [
-    ACADEMIC[0],
-    *(
-        pytest.param(*component, marks=pytest.mark.slow)
-        for component in (*ACADEMIC[1:], *LOOP, *SAMPLED_COMPONENTS)
-    ),
-    *(pytest.param(*component, marks=pytest.mark.campaign) for component in AGAIN),
-]
 # linear models that have states
 STATES = [("academic", "plant"), ("academic", "observer"), ("closed-loop", "controller")]
+# what drives those whose logs keep only the rows at their period
 DRIVERS = {
     "sampled": ("error.y",),
     "slow": ("regressor.mu",),
     "online": ("regressor.mu", "observer.delta", "sensor.y", "u.y"),
-}
-NOISY = ("online", "held-online")
-CHANGES = {
-    "sampled": SAMPLED,
-    "step": {"controller.period": H},
-    "slow": {**LEAST_SQUARES, "identifier.period": 0.1},
-    "held": {**LEAST_SQUARES, "scenario.input_interpolation": "zero-order"},
-    "online": {"identifier.period": 0.1},
-    "held-online": {"scenario.input_interpolation": "zero-order"},
 }
 
 
@@ -79,8 +66,6 @@ CHANGES = {
 class Case:
     """A component with its inputs and outputs in a run."""
 
-    scenario: str
-    name: str
     component: Component
     model: LinearModel | None
     held: Any
@@ -89,35 +74,29 @@ class Case:
     y: Any
 
 
-def scenario_of(key: str) -> tuple[str, dict[str, Any]]:
-    name = "closed-loop"
-    if key in ("academic", "slow", "held"):
-        name = "academic"
-    if key in NOISY:
-        name = "academic-noisy"
-    return name, {**START, **CHANGES.get(key, {})}
+@cache
+def loaded(key: str) -> Any:
+    name, changes = RUNS[key]
+    return load(name).set({**START, **changes})
 
 
 @cache
 def recorded(key: str) -> Any:
-    name, changes = scenario_of(key)
-    return signals(name, set=changes)
+    return signals(loaded(key))
 
 
 @cache
 def case(key: str, name: str) -> Case:
     """Return a component, built for a run, with its recorded inputs and outputs."""
-    scenario, changes = scenario_of(key)
-    loaded = load(scenario).set(changes)
+    scenario = loaded(key)
     run = recorded(key)
     with ExitStack() as resources:
-        graph = Builder(loaded, resources).experiment().graph
-        context = BuildContext(loaded, resources)
-        model = loaded.specs[name].linear_model(name, context) if (key, name) in STATES else None
+        graph = Builder(scenario, resources).experiment().graph
+        context = BuildContext(scenario, resources)
+        model = scenario.specs[name].linear_model(name, context) if (key, name) in STATES else None
     component = graph.components[name]
     t = np.arange(round(STOP / H) + 1) * 1_000_000 / 1e9
     if key in DRIVERS:
-        # the log keeps only the rows at its period, so it runs here on what drove it
         prepare(component, H, graph.held[name], {})
         driving = [np.reshape(run[port], (len(t), -1)) for port in DRIVERS[key]]
         u = np.ascontiguousarray(np.hstack(driving))
@@ -125,7 +104,7 @@ def case(key: str, name: str) -> Case:
     else:
         u = columns(run, name, component.interface.inputs)
         y = columns(run, name, component.interface.outputs)
-    return Case(scenario, name, component, model, graph.held[name], t, u, y)
+    return Case(component, model, graph.held[name], t, u, y)
 
 
 def columns(run: Any, name: str, ports: Any) -> Any:
@@ -138,16 +117,15 @@ def columns(run: Any, name: str, ports: Any) -> Any:
 
 
 def export(key: str, name: str, fmi: str, folder: Any) -> Any:
-    scenario, changes = scenario_of(key)
     path = folder / f"{key}-{name}-{fmi}.fmu"
     if not path.exists():
-        export_component(load(scenario).set(changes), name, path, fmi=fmi)
+        export_component(loaded(key), name, path, fmi=fmi)
     return path
 
 
-def drive(component: Any, original: Case, held: Any = None) -> Any:
+def drive(component: Any, original: Case) -> Any:
     """Run a component on recorded inputs; return its outputs in the order of the original."""
-    prepare(component, H, original.held if held is None else held, {})
+    prepare(component, H, original.held, {})
     first = component.initialize(0.0, original.u[0])
     y = np.vstack([first, component.advance(original.t, H, original.u)])
     columns_of = component.interface.output_columns()
@@ -156,9 +134,9 @@ def drive(component: Any, original: Case, held: Any = None) -> Any:
 
 
 FMI = pytest.mark.parametrize("fmi", ["2", "3"])
-LINEAR = pytest.mark.parametrize(
+EVERY = pytest.mark.parametrize(
     ("key", "name"),
-    [STATES[0], *(pytest.param(*component, marks=pytest.mark.slow) for component in STATES[1:])],
+    [ACADEMIC[0], *(pytest.param(*one, marks=pytest.mark.slow) for one in ACADEMIC[1:] + OTHERS)],
 )
 
 
@@ -179,7 +157,7 @@ def relative(values, expected):
 
 
 @FMI
-@pytest.mark.parametrize(("key", "name"), COMPONENTS)
+@EVERY
 def test_fmpy_finds_no_problems(key, name, fmi, folder):
     """Schema, names, structure, start values, units; the interface types fit the component."""
     path = export(key, name, fmi, folder)
@@ -193,7 +171,7 @@ def test_fmpy_finds_no_problems(key, name, fmi, folder):
 
 @pytest.mark.fast("academic-plant-3")
 @FMI
-@pytest.mark.parametrize(("key", "name"), COMPONENTS)
+@EVERY
 def test_co_simulation_by_us_gives_what_the_component_gave(key, name, fmi, folder):
     """Bit for bit where the inputs are interpolated linearly.
 
@@ -210,7 +188,7 @@ def test_co_simulation_by_us_gives_what_the_component_gave(key, name, fmi, folde
 
 @pytest.mark.fast("academic-plant-3")
 @FMI
-@LINEAR
+@pytest.mark.parametrize(("key", "name"), STATES)
 def test_model_exchange_by_us_has_the_bits_of_the_component_with_the_same_solver(
     key, name, fmi, folder
 ):
@@ -251,7 +229,7 @@ def by_fmpy(path, original, named):
 
 
 @FMI
-@pytest.mark.parametrize(("key", "name"), COMPONENTS)
+@EVERY
 def test_co_simulation_by_fmpy_alone_gives_what_the_component_gives(key, name, fmi, folder):
     """fmpy holds the inputs over a step, and interpolates them at its own times.
 

@@ -395,6 +395,18 @@ def test_two_fmus_in_a_loop_do_not_hide_an_inner_step_from_each_other(tmp_path):
     assert summarize(fine).loops == ("gauss-seidel a b (a)",)
 
 
+def test_a_run_in_memory_has_the_messages_of_its_log(tmp_path):
+    """Those of FMUs, too: one that ignores the step, and has its input set to a mean."""
+    lag.build(tmp_path, "2").rename(tmp_path / "lag.fmu")
+    (tmp_path / "loop.toml").write_text(LOOP)
+    changes = {"components.u": {"kind": "sine", "rate": 1.0}, "connections.a.u": "u.y"}
+    log = cosim.run(tmp_path / "loop.toml", set=changes, out=tmp_path / "a.mcap")
+    assert cosim.run(tmp_path / "loop.toml", set=changes).messages() == log.messages()
+    (message,) = [m for m in log.messages() if "inner step" in m.text]
+    assert (message.time_ns, message.level, message.source) == (100_000_000, "warning", "a")
+    assert ("info", "a") in {m[1:3] for m in log.messages() if "to the mean of both" in m.text}
+
+
 def test_a_run_without_verdicts_has_the_bits_of_one_with_them(tmp_path):
     """Only what its end says of the estimates is left out; they can be identified later."""
     short = {"scenario.stop": 0.05}

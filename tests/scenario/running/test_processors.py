@@ -36,21 +36,17 @@ loop = { kind = "lag", time_constant = 0.3 }
 filtered = { kind = "lag", time_constant = 0.011, size = 20 }
 table = { kind = "table", t = [0.0, 0.3, 1.1, 2.0], y = [0.1, -0.3, 1.9, 0.7] }
 
-[components.functions]
-kind = "expression"
-y = [
+functions = { kind = "expression", y = [
   "sin(30*t + 1)", "cos(17*t)", "tan(3*t + 0.2)", "asin(0.9*sin(7*t))", "acos(0.9*cos(5*t))",
   "atan(9*t - 3)", "sinh(t - 1)", "cosh(2*t)", "tanh(t - 1)", "exp(-1.7*t)", "log(0.1 + t)",
   "(0.3 + t)**2.7", "sqrt(t)", "abs(t - 1)",
   "min(t, 1/3) + max(t, pi)",
-]
+] }
 
-[components.disturbance]
-kind = "disturbance"
-terms = [
+disturbance = { kind = "disturbance", terms = [
   { alpha = "1.35 + 0.25*sin(1.7*t)", family = "exponential", theta = -0.1, amplitude = 1.3 },
   { alpha = "1.1 + 0.2*cos(2.3*t)", family = "sine", theta = 2.3, phase = 0.4 },
-]
+] }
 
 [components.sensor]
 kind = "sensor"
