@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.errors import LogError, NonFiniteError, UsageError
+from cosim.errors import LogError, NonFiniteError, ScenarioError, UsageError
 from cosim.log import McapRecorder, open_log
 from cosim.report.summary import summarize
 from cosim.scenario.document.document import shipped
@@ -183,6 +183,19 @@ def test_numbered_logs_count_up(tmp_path):
     recorder = McapRecorder(tmp_path / "a.mcap", numbered=True, force=True)
     with pytest.raises(UsageError, match="force and numbered exclude"):
         cosim.run("academic", recorder=recorder)
+
+
+def test_a_swap_of_what_is_no_fmu_is_refused_by_its_place(tmp_path):
+    """The component, the file and the reason in one line; no file is written."""
+    path = tmp_path / "plant.fmu"
+    path.write_text("hello")
+    with pytest.raises(ScenarioError) as caught:
+        cosim.run("academic", swap={"plant": path}, out=tmp_path / "run.mcap")
+    assert caught.value.exit_code == 2
+    place = f"swap['plant']: components.plant: {path}: "
+    assert str(caught.value).startswith(f"{place}not an FMU, as it is no zip archive")
+    assert "\n" not in str(caught.value)
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_options_of_a_log_are_refused_where_none_is_written(recorded):

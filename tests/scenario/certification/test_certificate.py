@@ -25,11 +25,17 @@ def certify(scenario, **settings):
     return cosim.certificate(cosim.run(scenario, certify=True, **settings))
 
 
-def test_an_estimate_is_the_difference_from_the_exact_solution():
+@pytest.fixture(scope="module")
+def spring(tmp_path_factory):
+    """Return the log of a run of the spring with its certificate."""
+    path = tmp_path_factory.mktemp("spring") / "a.mcap"
+    return cosim.run(certified.parsed(certified.SPRING), out=path, certify=True)
+
+
+def test_an_estimate_is_the_difference_from_the_exact_solution(spring):
     """y'' = -4 y from 1 is cos 2t; the inputs of the loop are held, which is of first order."""
-    log = cosim.run(certified.parsed(certified.SPRING), certify=True)
-    error = log["mass.y"] - np.cos(2.0 * log.time("mass"))
-    found = cosim.certificate(log)["mass.y"]
+    error = spring["mass.y"] - np.cos(2.0 * spring.time("mass"))
+    found = cosim.certificate(spring)["mass.y"]
     assert found.largest == pytest.approx(np.abs(error).max(), rel=0.1)
     assert found.time == pytest.approx(np.abs(error).argmax() * 0.01, abs=0.05)
     assert found.last == pytest.approx(error[-1], abs=0.01 * found.largest)
@@ -50,14 +56,12 @@ def test_share_of_the_coupling_in_theta_is_that_of_the_run():
         assert share.error != 0.0
 
 
-def test_rows_and_hash_are_those_of_the_run_without_a_certificate(tmp_path):
+def test_rows_and_hash_are_those_of_the_run_without_a_certificate(spring, tmp_path):
     """And the certificate is one of the run, in whatever blocks."""
-    scenario = certified.parsed(certified.SPRING)
-    plain = cosim.run(scenario, out=tmp_path / "a.mcap")
-    log = cosim.run(scenario, out=tmp_path / "b.mcap", certify=True)
-    assert log.recorded_hash == plain.recorded_hash
-    assert cosim.certificate(log) == certify(scenario) == certify(scenario, block=1)
-    assert json.loads(log.attachment("result.json"))["certificate"]["step"] == 0.01
+    plain = cosim.run(certified.parsed(certified.SPRING), out=tmp_path / "a.mcap")
+    assert spring.recorded_hash == plain.recorded_hash
+    assert cosim.certificate(spring) == certify(certified.SPRING, block=1)
+    assert json.loads(spring.attachment("result.json"))["certificate"]["step"] == 0.01
     with pytest.raises(LogError, match=r"cosim\.run with certify=True"):
         cosim.certificate(plain)
 
@@ -77,12 +81,12 @@ def test_a_certificate_is_a_mapping():
         certificate["plant.x_a"]
 
 
-def test_memory_is_bounded_and_the_estimate_nearly_the_same(monkeypatch):
+def test_memory_is_bounded_and_the_estimate_nearly_the_same(spring, monkeypatch):
     """Of 401 points 81 are kept, the last among them: the error is one of 2 rad/s, seen to 1 %.
 
     A cosine is lower by (2 rad/s 0.025 s)^2 / 2 = 0.1 % half of 0.05 s from its top.
     """
-    whole = certify(certified.SPRING)
+    whole = cosim.certificate(spring)
     width = 6  # three inputs, three outputs
     monkeypatch.setattr(certificate_module, "MOST_VALUES", 401 * width / 5)
     thinned = certify(certified.SPRING)
