@@ -69,21 +69,8 @@ def test_an_interrupted_study_says_how_to_go_on(tmp_path):
 
 
 @pytest.mark.slow
-@IN_THIS_PROCESS
-def test_a_study_with_failed_members_exits_with_1(call, files):
-    """All of it is recorded and shown all the same."""
-    (files / "x.toml").write_text(
-        'scenario = { name = "x", stop = 1.0, step = 0.1 }\n'
-        '[components]\nu = { kind = "expression", y = "1/(t - 0.5)" }\n'
-    )
-    arguments = ["x.toml", "--vary", "scenario.stop=0.2,1.0", "--metric", "y=last(u.y)"]
-    assert call("study", *arguments)[0] == 1
-    assert "2 of 2 members done, 1 failed" in call("study", "show", "logs/x-study")[1]
-
-
-@pytest.mark.slow
 def test_members_fail_their_study(call):
-    """By number, with the first as an example; a metric of the study goes by its name."""
+    """By number, with the first as an example; one whose run fails does, too."""
     common = shlex.split(
         "study academic --vary observer.filter_rate=10,900 --metric e=last(plant.y) --stop 0.05 "
         "--set scenario.input_interpolation=zero-order --set observer.filter=first-order -q"
@@ -95,6 +82,10 @@ def test_members_fail_their_study(call):
     code, _, err = call(*common, "--out", "b", "--assert", "rms(plant.y) < 0.1")
     assert code == 1
     assert "cosim: --assert rms(plant.y) < 0.1: 2 of 2 members (0, 1); member 0: rms(" in err
+    bad = "components.bad={ kind = 'expression', y = '1/(t - 0.03)' }"
+    failing = ("study", "academic", "--set", bad, "--vary", "scenario.stop=0.02,0.1", "-q")
+    assert call(*failing, "--metric", "y=last(plant.y)", "--out", "c")[0] == 1
+    assert "2 of 2 members done, 1 failed" in call("study", "show", "c")[1]
 
 
 # --- metrics of a study ---

@@ -60,18 +60,6 @@ OFFSET = ", period = 0.6, offset = 0.2"
 LINEAR = ', input_interpolation = "linear"'
 
 
-@pytest.fixture
-def sampled(tmp_path):
-    """Return a function that writes a scenario with a controller with more keys."""
-
-    def sampled(keys, source="sine"):
-        path = tmp_path / "sampled.toml"
-        path.write_text(SAMPLED.format(keys=keys, source=source), encoding="utf-8")
-        return path
-
-    return sampled
-
-
 @pytest.mark.parametrize(
     ("keys", "source", "rate", "course"),
     [
@@ -84,9 +72,11 @@ def sampled(tmp_path):
         ("", "sine", (None, 0.0), "linear"),
     ],
 )
-def test_period_and_offset_say_what_an_input_has(sampled, keys, source, rate, course):
+def test_period_and_offset_say_what_an_input_has(tmp_path, keys, source, rate, course):
     """A component with a period takes its inputs at its own instants, whatever they do between."""
-    schedule = describe_schedule(sampled(keys, source))
+    path = tmp_path / "sampled.toml"
+    path.write_text(SAMPLED.format(keys=keys, source=source))
+    schedule = describe_schedule(path)
     own = {entry["name"]: entry for entry in schedule["components"]}["own"]
     assert (own["period"], own["offset"]) == rate
     assert courses(schedule)[f"{source}.y", "own.u"] == course

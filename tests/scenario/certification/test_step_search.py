@@ -43,14 +43,8 @@ def test_found_step_is_the_largest_that_keeps_the_tolerance(tmp_path):
 
 def test_found_step_divides_the_delay_of_a_sensor():
     """0.25 s would keep the tolerance, and does not divide 0.05 s; 0.05 s does."""
-    scenario = certified.parsed("""
-        [components]
-        ramp = { kind = "ramp", slope = 1.0 }
-        meter = { kind = "sensor", delay = 0.05 }
-
-        [connections]
-        "meter.u" = "ramp.y"
-        """)
+    meter = 'meter = { kind = "sensor", delay = 0.05 }\n    [connections]\n    "meter.u" = "sine.y"'
+    scenario = certified.parsed(certified.SMOOTH.replace("[connections]", meter))
     log = cosim.run(scenario, find_step={"meter.y": 1.0})
     assert log.step_ns == 50_000_000
 
