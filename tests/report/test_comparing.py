@@ -78,6 +78,7 @@ def test_a_failed_plant_does_not_lose_the_others(folder, tmp_path, call):
     assert plants["plant#cs"]["summary"]["values"][0]["estimate"] == THETA[0]
 
 
+@pytest.mark.slow
 def test_a_map_that_does_not_fit_a_plant_is_its_failure(folder, monkeypatch):
     """It is never left out there, and the others go on; a name that none has is refused.
 

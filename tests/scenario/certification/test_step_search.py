@@ -49,6 +49,7 @@ def test_found_step_divides_the_delay_of_a_sensor():
     assert log.step_ns == 50_000_000
 
 
+@pytest.mark.slow
 def test_several_tolerances_are_kept_together():
     scenario = certified.parsed(certified.SPRING)
     log = cosim.run(scenario, find_step={"mass.y": 0.02, "speed.y": 1.0})
