@@ -2,54 +2,13 @@
 
 import inspect
 import re
-from pathlib import Path
-from typing import get_args
 
 import pytest
-import typer
 
 import cosim
 from cosim.cli.app import COMMANDS
-from cosim.cli.command import command, read_ranges, read_variations
+from cosim.cli.command import read_ranges, read_variations
 from cosim.errors import UsageError, shell_language
-
-
-def parameters(table):
-    """Return what a command has: name, default, type, flags or metavar of an argument."""
-    made = inspect.signature(command(table)(lambda given: None)).parameters
-    found = {}
-    for name, parameter in list(made.items())[1:]:  # the context of typer is the first one
-        taken, shown = get_args(parameter.annotation)
-        spelled = shown.metavar
-        if isinstance(shown, typer.models.OptionInfo):
-            spelled = (shown.default, *shown.param_decls, shown.metavar)
-        default = ... if parameter.default is parameter.empty else parameter.default
-        found[name] = (default, taken, spelled)
-    return found
-
-
-def test_a_table_is_read_as_it_is_described():
-    """Every form of a key, in the order of the table."""
-    forms = {
-        "--json": ("json", (False, bool, ("--json", None))),
-        "--quiet -q": ("quiet", (False, bool, ("--quiet", "-q", None))),
-        "--dry-run/--no-dry-run : bool = True": (
-            "dry_run",
-            (True, bool, ("--dry-run/--no-dry-run", None)),
-        ),
-        "--out -o PATH : Path": ("out", (None, Path | None, ("--out", "-o", "PATH"))),
-        "--worst : int = 3": ("worst", (3, int, ("--worst", None))),
-        "--set A.B=C : edits": ("set", (None, list[str] | None, ("--set", "A.B=C"))),
-        "--from T : float": ("from_", (None, float | None, ("--from", "T"))),
-        "--component NAME : str = ...": ("component", (..., str, ("--component", "NAME"))),
-        "log LOG : Path": ("log", (..., Path, "LOG")),
-        "signals [SIGNAL]... : list[str] = None": (
-            "signals",
-            (None, list[str] | None, "[SIGNAL]..."),
-        ),
-    }
-    found = parameters(dict.fromkeys(forms, ""))
-    assert list(found.items()) == list(forms.values())
 
 
 def commands():

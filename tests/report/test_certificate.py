@@ -12,7 +12,7 @@ from tests.scenario.certified import write
 
 def test_table_and_log_have_estimates_and_reasons(tmp_path, call):
     """cos 2t at 4 s is -0.1455; of the error of first order there, nearly all is the coupling."""
-    jump = '    jump = { kind = "python", class = "parts:Jump", instant = 1.003 }\n'
+    jump = '    jump = { kind = "python", class = "parts:Jump", time = 1.003 }\n'
     lag = '    late = { kind = "lag", time_constant = 1.0 }\n'
     text = certified.SPRING.replace("[components]\n", f"[components]\n{jump}{lag}", 1)
     text = text.replace('"mass.u" = "speed.y"', '"mass.u" = "speed.y"\n    "late.u" = "jump.y"')

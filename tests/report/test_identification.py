@@ -106,9 +106,7 @@ def test_amplitude_rate_and_phase_of_a_sine_are_those_of_the_scenario(call):
     assert shown["amplitude[1]"][0] == "no value"
     (log,) = json.loads(call("identify", "log.mcap", "--json")[1])["logs"]
     found = {one["name"]: (one["value"], one["standard_error"]) for one in log["amplitudes"]}
-    assert list(found) == ["amplitude[0]", "phase[0]", "amplitude[1]"]
     assert found["phase[0]"][0] == pytest.approx(float(shown["phase[0]"][0]), rel=1e-5)
-    assert 0.0 < found["phase[0]"][1] < 0.01
     assert found["amplitude[1]"] == (None, None)
 
 

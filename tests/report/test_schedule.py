@@ -1,12 +1,9 @@
 """How the components of a scenario advance, as text and as a picture."""
 
-import json
 import re
 
-import numpy as np
 import pytest
 
-import cosim
 from cosim.report.schedule import describe_schedule
 from tests.scenario import certified
 from tests.scenario.certified import write
@@ -63,18 +60,6 @@ OFFSET = ", period = 0.6, offset = 0.2"
 LINEAR = ', input_interpolation = "linear"'
 
 
-@pytest.fixture
-def sampled(tmp_path):
-    """Return a function that writes a scenario with a controller with more keys."""
-
-    def sampled(keys, source="sine"):
-        path = tmp_path / "sampled.toml"
-        path.write_text(SAMPLED.format(keys=keys, source=source), encoding="utf-8")
-        return path
-
-    return sampled
-
-
 @pytest.mark.parametrize(
     ("keys", "source", "rate", "course"),
     [
@@ -87,36 +72,15 @@ def sampled(tmp_path):
         ("", "sine", (None, 0.0), "linear"),
     ],
 )
-def test_period_and_offset_say_what_an_input_has(sampled, keys, source, rate, course):
+def test_period_and_offset_say_what_an_input_has(tmp_path, keys, source, rate, course):
     """A component with a period takes its inputs at its own instants, whatever they do between."""
-    schedule = describe_schedule(sampled(keys, source))
+    path = tmp_path / "sampled.toml"
+    path.write_text(SAMPLED.format(keys=keys, source=source))
+    schedule = describe_schedule(path)
     own = {entry["name"]: entry for entry in schedule["components"]}["own"]
     assert (own["period"], own["offset"]) == rate
     assert courses(schedule)[f"{source}.y", "own.u"] == course
     assert courses(schedule)["own.y", "meter.u"] == "sampled"
-
-
-def test_a_sampled_input_is_held_from_the_offset_on(sampled):
-    """The first step of its own takes sin(0.2 s), and ends 0.6 s later: x = (1 - e^-0.6) sin 0.2.
-
-    It is right to some roundings of numbers below 1.
-    """
-    recorded = cosim.run(sampled(OFFSET))
-    changes = np.flatnonzero(np.diff(recorded["own.x"])) + 1
-    assert recorded.time("own.x")[changes] == pytest.approx([0.8])
-    assert recorded["own.x"][-1] == pytest.approx(-np.expm1(-0.6) * np.sin(0.2), abs=1e-15)
-
-
-def test_text_and_json_are_of_one_record(call):
-    lines = call("info", "closed-loop", "--graph")[1].splitlines()
-    assert {
-        "plant\t3\tdescriptor\tevery step\ty from u, x_b from u, none: x_a",
-        "identifier\t5\tidentifier\tevery 0.1 s\tnone",
-        "error.y\tcontroller.u\textrapolated: held from the start of the step",
-    } <= set(lines)
-    content = json.loads(call("info", "closed-loop", "--graph", "--json")[1])
-    assert list(content) == ["scenario", "step", "stages", "components", "connections"]
-    assert [stage["number"] for stage in content["stages"]] == [1, 2, 3, 4, 5]
 
 
 def test_the_picture_has_what_the_tables_say(call, tmp_path):

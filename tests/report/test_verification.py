@@ -510,13 +510,9 @@ def test_a_log_and_the_log_of_its_replay_pass(name, tmp_path):
 
 def test_the_log_of_a_run_that_failed_or_was_stopped_passes(tmp_path):
     """What it says of its end is about a run that did not reach its stop."""
-    (tmp_path / "fails.toml").write_text(
-        'scenario = { name = "fails", stop = 0.1, step = 0.01 }\n[components]\n'
-        'w = { kind = "expression", y = "log(0.05 - t)" }\n'
-        'run = { kind = "lag", time_constant = 0.05 }\n[connections]\n"run.u" = "w.y"\n'
-    )
+    bad = {"components.bad": {"kind": "expression", "y": "log(0.05 - t)"}}
     with pytest.raises(RunError):
-        cosim.run(tmp_path / "fails.toml", out=tmp_path / "a.mcap")
+        cosim.run("academic", out=tmp_path / "a.mcap", set=bad)
 
     def interrupt(time, end):
         raise KeyboardInterrupt

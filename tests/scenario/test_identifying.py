@@ -12,6 +12,7 @@ from cosim.documents import plain
 from cosim.errors import CosimError, UsageError
 from cosim.scenario.record import IDENTIFICATION
 from cosim.scenario.running.identifying import identifier_record
+from tests.scenario.refusals import check_refused
 
 FAST = {"scenario.step": 0.01, "observer.filter_rate": 100.0}
 
@@ -123,20 +124,18 @@ def test_options_are_those_of_the_fit(logs):
     np.testing.assert_array_equal(listed.assessment.fit.theta, fixed.assessment.fit.theta)
 
 
-@pytest.mark.parametrize(
-    ("bounds", "text"),
-    [
-        ([[-1, 0]], "expected [lower, upper] for each of the 2 parameters"),
-        (3, "bounds: expected [lower, upper]"),
-        ({2: (0.0, 1.0)}, "bounds: no theta[2]; there are 2 parameters"),
-        ({0: 1.0}, "bounds of theta[0]: expected two numbers, [lower, upper]"),
-        ({0: (1.0, 0.0)}, "bounds of theta[0]: expected lower <= upper"),
-    ],
-)
-def test_bounds_that_are_none_are_refused(logs, bounds, text):
+NO_BOUNDS = [
+    ([[-1, 0]], r"expected \[lower, upper\] for each of the 2 parameters"),
+    (3, r"bounds: expected \[lower, upper\]"),
+    ({2: (0.0, 1.0)}, r"bounds: no theta\[2\]; there are 2 parameters"),
+    ({0: 1.0}, r"bounds of theta\[0\]: expected two numbers, \[lower, upper\]"),
+    ({0: (1.0, 0.0)}, r"bounds of theta\[0\]: expected lower <= upper"),
+]
+
+
+def test_bounds_that_are_none_are_refused(logs):
     """As rows or by index, with the same messages as in a scenario."""
-    with pytest.raises(UsageError, match=re.escape(text)):
-        cosim.identify(logs[0], bounds=bounds)
+    check_refused(NO_BOUNDS, lambda bounds: cosim.identify(logs[0], bounds=bounds))
 
 
 def test_anything_but_a_log_is_refused(logs):
@@ -172,35 +171,27 @@ def test_logs_of_other_models_are_refused(logs, other):
             found.validate(identifier_record(log))
 
 
-def test_an_identifier_that_is_not_there_is_refused(tmp_path, logs):
+def test_an_identifier_that_is_not_there_is_refused(logs):
     """Of a wrong name what there is; of none what is needed."""
     with pytest.raises(UsageError, match="no identifier 'identifer' with a model of y; did you"):
         identifier_record(logs[0], "identifer")
-    file = tmp_path / "none.toml"
-    file.write_text(
-        '[scenario]\nname="a"\nstop=1.0\nstep=0.1\n[components]\na={kind="ramp",slope=1.0}\n'
-    )
     with pytest.raises(UsageError, match="expected an identifier with a model of y, got none"):
-        identifier_record(cosim.run(file))
+        identifier_record(cosim.run("pair", stop=0.1))
 
 
-@pytest.mark.parametrize(
-    ("record", "said"),
-    [
-        ({"record.every": 7}, r"recorded with \[record\] every = 7\); available: u\.y, "),
-        (
-            {"record.signals": ["plant.*"]},
-            r"'observer': .*recorded with \[record\] signals = \[\"plant\.\*\"\]",
-        ),
-    ],
-)
 @pytest.mark.usefixtures("without_verdicts")
-def test_a_partial_log_says_that_it_is_one(tmp_path, record, said):
+def test_a_partial_log_says_that_it_is_one():
     """It has an identifier, but not what that needs."""
-    settings = {"scenario.stop": 1.0, **record}
-    log = cosim.run("academic", out=tmp_path / "a.mcap", set=settings)
-    with pytest.raises(CosimError, match=said):
-        identifier_record(log)
+    patterns = r"'observer': .*recorded with \[record\] signals = \[\"plant\.\*\"\]"
+    cases = [
+        ({"record.every": 7}, r"recorded with \[record\] every = 7\); available: u\.y, "),
+        ({"record.signals": ["plant.*"]}, patterns),
+    ]
+
+    def act(record):
+        identifier_record(cosim.run("academic", set={"scenario.stop": 1.0, **record}))
+
+    check_refused(cases, act, CosimError)
 
 
 @pytest.mark.slow

@@ -126,12 +126,8 @@ def test_a_start_that_does_not_fit_is_refused():
     check_refused(UNFIT, run, ScenarioError)
 
 
-def test_an_identifier_cannot_begin_before_its_regressor_has_a_value(logs):
+def test_an_identifier_cannot_begin_before_its_regressor_has_a_value():
     """The longest delay counts from the start of the run, and a given time is absolute."""
-    for start, allowed in ((16.3, True), (16.2995, False)):
-        changes = shifted(START, **{"identifier.start": start})
-        if allowed:
-            cosim.run("closed-loop", set=changes)
-        else:
-            with pytest.raises(CosimError, match=r"longest delay, 0\.3 s after start_time, 16\.0"):
-                cosim.run("closed-loop", set=changes)
+    cosim.run("closed-loop", set=shifted(START, **{"identifier.start": 16.3}))
+    with pytest.raises(CosimError, match=r"longest delay, 0\.3 s after start_time, 16\.0"):
+        cosim.run("closed-loop", set=shifted(START, **{"identifier.start": 16.2995}))
