@@ -2,6 +2,8 @@
 
 import math
 from contextlib import ExitStack
+from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from cosim.scenario.assumptions.method import ALPHAS as OF_ALPHAS
 from cosim.scenario.assumptions.method import CLASS, DELAYS
 from cosim.scenario.assumptions.report import check_assumptions
 from cosim.scenario.building.build import Builder, parse
-from cosim.scenario.document.document import Document
+from cosim.scenario.document.document import Document, find
 from cosim.scenario.record import recorded_identification
 from tests.scenario.refusals import check_refused
 
@@ -88,59 +90,47 @@ def test_wrong_numbers_of_a_term_are_refused(tmp_path):
         cosim.run(source(tmp_path, []))
 
 
-PLANT = """
-scenario = {{ name = "identified", stop = 12.0, step = 0.02 }}
-
-[models.m]
-n_a = 2
-A  = [[0, 1, 1], [0, -2, 1], [1, 0, 1]]
-Bu = [[0], [2], [1]]
-Bd = [[1], [0], [0]]
-C  = [[2, 0, 1]]
-
-[components]
-u = {{ kind = "sine", rate = 1.0 }}
-delta = {{ kind = "disturbance", terms = [{source}] }}
-plant = {{ kind = "descriptor", model = "m", x_a0 = [1.0, -1.0] }}
-observer = {{ kind = "unknown-input-observer", model = "m", L = [4.0, 0.0], filter_rate = 100.0 }}
-regressor = {{ kind = "regressor", terms = [{terms}], delays = {delays} }}
-[components.identifier]
-kind = "identifier"
-period = 12.0
-{more}
-
-[connections]
-"plant.u" = "u.y"
-"plant.delta" = "delta.y"
-"observer.u" = "u.y"
-"observer.y" = "plant.y"
-"regressor.delta" = "observer.delta"
-"identifier.regressor" = "regressor.mu"
-"""
 WITHOUT = ("theta", "amplitude", "phase", "level", "slope", "constants")
 ALPHAS = ("1 + 0.8*sin(1.7*t)", "1 + 0.8*cos(2.3*t)", "1 + 0.8*sin(0.9*t)", "1 + 0.8*cos(3.1*t)")
+MATRICES = {
+    "A": [[-1, 0.5, 0], [0, -2, 1], [0.3, 0, -1.5]],
+    "B": [[1, 1, 0], [0, 0, 1], [0.5, 0, 0]],
+    "disturbances": [1, 2],
+    "C": [[1, 0, 0], [0, 1, 0]],
+}
+OBSERVER = {"kind": "unknown-input-observer", "poles": [-4.0, -5.0], "filter_rate": 200.0}
+PAIR = {  # a plant with two disturbances
+    "models.academic": MATRICES,
+    "components.plant": {"kind": "descriptor", "model": "academic", "x0": [1.0, -1.0, 0.5]},
+    "components.observer": OBSERVER | {"model": "academic"},
+}
 
 
-def identified(folder, terms, delays, more="", text=PLANT):
-    """Return a scenario with terms, as dictionaries, in its disturbance and in its regressor."""
+def identified(terms, delays, changes=MappingProxyType({}), **options):
+    """Return the example with terms in its disturbance and in its regressor, and options."""
+    text, _, _ = find("academic").text.partition("[truth]")
+    unknown = [{key: term[key] for key in term if key not in WITHOUT} for term in terms]
+    own = {
+        "scenario.stop": 12.0,
+        "scenario.step": 0.02,
+        "observer.filter_rate": 100.0,
+        "delta.terms": terms,
+        "regressor.terms": unknown,
+        "regressor.delays": delays,
+        "identifier.period": 12.0,
+        **changes,
+    }
+    own |= {f"identifier.{key}": value for key, value in options.items()}
+    return parse(Document(text, "identified", Path())).edit(set=own)
 
-    def table(term, left_out=()):
-        entries = [f"{key} = {value!r}" for key, value in term.items() if key not in left_out]
-        return f"{{ {', '.join(entries)} }}"
 
-    source_terms = ", ".join(map(table, terms))
-    unknown = ", ".join(table(term, WITHOUT) for term in terms)
-    filled = text.format(source=source_terms, terms=unknown, delays=delays, more=more)
-    return parse(Document(filled, "identified", folder))
-
-
-def test_constants_of_every_name_are_told_with_their_verdicts(tmp_path):
+def test_constants_of_every_name_are_told_with_their_verdicts():
     """Amplitude and phase of a damped sine, level and slope of a ramp, as the scenario has them."""
     terms = [
         {"family": "damped-sine", "theta": [0.15, 2.0], "amplitude": 1.2, "phase": 0.5},
         {"alpha": ALPHAS[0], "family": "ramp", "level": 0.7, "slope": -0.05},
     ]
-    log = cosim.run(identified(tmp_path, terms, [0.4, 0.8, 1.2, 1.6, 2.0]))
+    log = cosim.run(identified(terms, [0.4, 0.8, 1.2, 1.6, 2.0]))
     np.testing.assert_allclose(log["identifier.theta"][-1], [0.15, 2.0], rtol=1e-8)
     told = recorded_identification(log)["identifier"]
     values = {one.name: one.value for one in (*told.parameters, *told.amplitudes[0])}
@@ -152,10 +142,10 @@ def test_constants_of_every_name_are_told_with_their_verdicts(tmp_path):
     assert reasons["slope[1]"] == "in level[1] + slope[1] t"
 
 
-def test_terms_without_parameters_have_amplitudes_alone(tmp_path):
+def test_terms_without_parameters_have_amplitudes_alone():
     """There is no theta; a method that estimates theta alone says which does more."""
     terms = [{"alpha": ALPHAS[0], "family": "constant", "level": 0.7}]
-    log = cosim.run(identified(tmp_path, terms, [0.4, 0.8]))
+    log = cosim.run(identified(terms, [0.4, 0.8]))
     assert "identifier.theta" not in log.signals
     told = recorded_identification(log)["identifier"]
     assert told.parameters == ()
@@ -163,7 +153,7 @@ def test_terms_without_parameters_have_amplitudes_alone(tmp_path):
     assert (level.name, str(level.verdict)) == ("level[0]", "IDENTIFIABLE")
     assert level.value == pytest.approx(0.7, rel=1e-9)
     for method in ("least-squares", "rayleigh", "gradient", "extended-kalman"):
-        scenario = identified(tmp_path, terms, [0.4, 0.8], f'method = "{method}"')
+        scenario = identified(terms, [0.4, 0.8], method=method)
         with pytest.raises(CosimError, match=rf'"{method}": .*constant.*output-error'):
             cosim.run(scenario)
 
@@ -173,7 +163,7 @@ def exponentials(*theta):
     return [{"alpha": alpha, "family": "exponential", "theta": value} for alpha, value in pairs]
 
 
-def test_what_least_squares_does_not_tell_apart_is_noted(tmp_path, subtests):
+def test_what_least_squares_does_not_tell_apart_is_noted(subtests):
     """Rates from pi over the spacing of the delays on, and which exponential is which; no more."""
     sine = {"alpha": ALPHAS[0], "family": "sine", "theta": 2.0}
     decays = [{"family": "exponential", "theta": theta} for theta in (-0.3, -0.8)]
@@ -186,17 +176,17 @@ def test_what_least_squares_does_not_tell_apart_is_noted(tmp_path, subtests):
         with subtests.test(notes=notes), ExitStack() as resources:
             count = 1 + len(terms) + (sine in terms)
             delays = [round(0.4 * (j + 1), 1) for j in range(count)]
-            scenario = identified(tmp_path, terms, delays, 'method = "least-squares"')
+            scenario = identified(terms, delays, method="least-squares")
             metadata = Builder(scenario, resources).experiment().built.metadata
             assert metadata["identifier"]["notes"] == notes
 
 
 @pytest.mark.slow
-def test_five_alphas_are_identified_without_the_expansion(tmp_path):
+def test_five_alphas_are_identified_without_the_expansion():
     """(25) has 720 terms: mu is delta at its delays, the start is searched on y."""
     theta = [-0.05, -0.3, -0.8, -2.0, 0.1]
     delays = [0.4, 0.8, 1.2, 1.6, 2.0, 2.4]
-    log = cosim.run(identified(tmp_path, exponentials(*theta), delays))
+    log = cosim.run(identified(exponentials(*theta), delays))
     np.testing.assert_allclose(log["identifier.theta"][-1], theta, rtol=1e-5)
     mu = log["regressor.mu"]
     delta = log["regressor.delta"]
@@ -204,43 +194,28 @@ def test_five_alphas_are_identified_without_the_expansion(tmp_path):
     for j, delay in enumerate(delays):
         steps = round(delay / 0.02)
         np.testing.assert_array_equal(mu[200:, j], delta[200 - steps : len(delta) - steps])
-    scenario = identified(tmp_path, exponentials(*theta), delays, 'method = "rayleigh"')
+    scenario = identified(exponentials(*theta), delays, method="rayleigh")
     with pytest.raises(CosimError, match=r'"rayleigh": .*128 .*720'):
         cosim.run(scenario)
 
 
-def test_a_slow_sine_beside_a_constant_is_identified(tmp_path):
+def test_a_slow_sine_beside_a_constant_is_identified():
     """A sixth of a period is curved: exact data give its rate."""
     slow = {"family": "sine", "theta": 0.08, "phase": 0.4}
     terms = [slow, {"family": "constant", "level": 0.7}]
-    more = "bounds = [[0, 0.1]]"
-    run = cosim.run(identified(tmp_path, terms, [0.4, 0.8, 1.2, 1.6], more))
+    run = cosim.run(identified(terms, [0.4, 0.8, 1.2, 1.6], bounds=[[0, 0.1]]))
     np.testing.assert_allclose(run["identifier.theta"][-1], 0.08, rtol=1e-3)
 
 
-PAIR = (
-    (
-        PLANT[: PLANT.index("n_a = 2")]
-        + """
-A = [[-1, 0.5, 0], [0, -2, 1], [0.3, 0, -1.5]]
-B = [[1, 1, 0], [0, 0, 1], [0.5, 0, 0]]
-disturbances = [1, 2]
-C = [[1, 0, 0], [0, 1, 0]]
-"""
-        + PLANT[PLANT.index("[components]") :]
-    )
-    .replace("x_a0 = [1.0, -1.0]", "x0 = [1.0, -1.0, 0.5]")
-    .replace("L = [4.0, 0.0], filter_rate = 100.0", "poles = [-4.0, -5.0], filter_rate = 200.0")
-)
 TWO = [
     {"alpha": "1 + 0.5*sin(1.7*t)", "family": "sine", "theta": 1.3, "phase": 0.4},
     {"element": 1, "alpha": "1 + 0.4*cos(2.3*t)", "family": "exponential", "theta": -0.05},
 ]
 
 
-def test_two_disturbances_are_identified_together(tmp_path):
+def test_two_disturbances_are_identified_together():
     """Each element of delta has terms of its own; theta is within 1e-3, the lag of delta or not."""
-    log = cosim.run(identified(tmp_path, TWO, [0.5, 1.0, 1.5], text=PAIR))
+    log = cosim.run(identified(TWO, [0.5, 1.0, 1.5], PAIR))
     np.testing.assert_allclose(log["identifier.theta"][-1], [1.3, -0.05], rtol=0, atol=1e-3)
     told = recorded_identification(log)["identifier"]
     names = [one.name for one in told.amplitudes[0]]
@@ -265,13 +240,13 @@ SCALED = [
 
 
 @pytest.mark.parametrize("terms", [PERIODIC, SCALED])
-def test_output_error_needs_no_independent_products(terms, tmp_path):
+def test_output_error_needs_no_independent_products(terms):
     """Delays of whole periods of the alphas; an alpha that a delay scales. Without noise: exact.
 
     Methods on the regression need them and refuse what is periodic with the delays.
     """
     delays = [1.0, 2.0, 3.0, 4.0][: 3 + (terms is SCALED)]
-    log = cosim.run(identified(tmp_path, terms, delays), set={"identifier.period": 1.0})
+    log = cosim.run(identified(terms, delays), set={"identifier.period": 1.0})
     expected = [term["theta"] for term in terms]
     np.testing.assert_allclose(log["identifier.theta"][-1], expected, rtol=0, atol=1e-6)
     told = recorded_identification(log)["identifier"]
@@ -285,42 +260,39 @@ FOUR = exponentials(-0.05, -0.3, -0.8, -2.0)
 EXCHANGED = [{**PERIODIC[0], "alpha": "2"}, {**PERIODIC[1], "alpha": "-exp(-0.5*t)"}]
 UNKNOWNS = r'l = 4 with different alphas makes 119 unknowns.*method = "output-error"'
 INDISTINGUISHABLE = [
-    ([CONSTANT, CONSTANT], "", r"terms\[0\] \(constant\) and terms\[1\] \(constant\) sha"),
-    ([SINE, CONSTANT], "bounds = [[0, 1e-3]]", r"is a straight line in the 12 s of the run"),
-    (EXCHANGED, "", r"regressor: .*'2' is a multiple of exp\(0\.5 t\) times alpha .* parameters"),
+    ([CONSTANT, CONSTANT], {}, r"terms\[0\] \(constant\) and terms\[1\] \(constant\) sha"),
+    ([SINE, CONSTANT], {"bounds": [[0, 1e-3]]}, r"is a straight line in the 12 s of the run"),
+    (EXCHANGED, {}, r"regressor: .*'2' is a multiple of exp\(0\.5 t\) times alpha .* parameters"),
     # the linear route, from four alphas on; output error needs no independent products
-    *((FOUR, f'method = "{method}"', UNKNOWNS) for method in ("least-squares", "gradient", "drem")),
-    (PERIODIC, 'method = "least-squares"', r"identifier: .* have rank 1; .*\"output-error\""),
+    *((FOUR, {"method": method}, UNKNOWNS) for method in ("least-squares", "gradient", "drem")),
+    (PERIODIC, {"method": "least-squares"}, r"identifier: .* have rank 1; .*\"output-error\""),
 ]
 
 
-def test_terms_that_no_data_or_not_this_method_tells_apart_are_refused(tmp_path):
+def test_terms_that_no_data_or_not_this_method_tells_apart_are_refused():
     """Before the run, by families, alphas and bounds."""
 
     def refuse(terms, more):
         count = 1 + sum(2 if term["family"] == "sine" else 1 for term in terms)
         spacing = 1.0 if terms in (PERIODIC, EXCHANGED) else 0.4
         delays = [round(spacing * (j + 1), 1) for j in range(count)]
-        cosim.run(identified(tmp_path, terms, delays, more))
+        cosim.run(identified(terms, delays, **more))
 
     check_refused(INDISTINGUISHABLE, refuse, CosimError)
 
 
-def test_elements_may_have_signals_as_alphas(tmp_path):
+def test_elements_may_have_signals_as_alphas():
     """The bits of expressions; one element has the first signal, the other one both of them.
 
     Steps of 1/128 s: instants and delays are exact, so that alphas are read at the very same ones.
     """
     terms = [*TWO, {**TWO[1], "alpha": TWO[0]["alpha"], "theta": -0.4}]
-    places = {TWO[0]["alpha"]: "schedule.y[0]", TWO[1]["alpha"]: "schedule.y[1]"}
-    by_text = identified(tmp_path, terms, [0.5, 1.0, 1.5], text=PAIR)
-    text = by_text.document.text
-    for alpha, place in places.items():
-        text = text.replace(f"alpha = '{alpha}'", f'alpha = {{ from = "{place}" }}')
-    expressions = ", ".join(map(repr, places))
-    schedule = f'[components.schedule]\nkind = "expression"\ny = [{expressions}]\n'
-    text = text.replace("[components.identifier]", f"{schedule}[components.identifier]", 1)
-    by_signal = parse(Document(text, "signals", tmp_path))
+    alphas = [term["alpha"] for term in TWO]
+    schedule = {"components.schedule": {"kind": "expression", "y": alphas}}
+    places = [{"from": f"schedule.y[{i}]"} for i in (0, 1, 0)]
+    by_text = identified(terms, [0.5, 1.0, 1.5], PAIR)
+    signals = [{**term, "alpha": place} for term, place in zip(terms, places, strict=True)]
+    by_signal = identified(signals, [0.5, 1.0, 1.5], PAIR | schedule)
     short = {"scenario.step": 1.0 / 128.0, "scenario.stop": 4.0, "identifier.period": 1.0}
     expected = cosim.run(by_text, set=short)
     found = cosim.run(by_signal, set=short)
@@ -332,24 +304,24 @@ def test_elements_may_have_signals_as_alphas(tmp_path):
 
 
 WRONG_ELEMENTS = [
-    (TWO, 'method = "least-squares"', r'"least-squares": .*one element of delta, got 2'),
-    ([{**TWO[1], "element": 2}, TWO[0]], "", r"got none for element 1"),
-    ([TWO[0]], "", r"regressor|size 2|2 unknown disturbances"),
+    (TWO, {"method": "least-squares"}, r'"least-squares": .*one element of delta, got 2'),
+    ([{**TWO[1], "element": 2}, TWO[0]], {}, r"got none for element 1"),
+    ([TWO[0]], {}, r"regressor|size 2|2 unknown disturbances"),
 ]
 
 
-def test_elements_that_do_not_fit_are_refused(tmp_path):
+def test_elements_that_do_not_fit_are_refused():
     """Every element of delta has terms, and the method can do with several."""
 
     def refuse(terms, more):
-        cosim.run(identified(tmp_path, terms, [0.5, 1.0, 1.5], more, PAIR))
+        cosim.run(identified(terms, [0.5, 1.0, 1.5], PAIR, **more))
 
     check_refused(WRONG_ELEMENTS, refuse, CosimError)
 
 
-def test_the_assumptions_of_every_element_are_told(tmp_path):
+def test_the_assumptions_of_every_element_are_told():
     """Each element has its own class, and the longest of them needs its delays."""
-    scenario = identified(tmp_path, TWO, [0.5, 1.0, 1.5], text=PAIR)
+    scenario = identified(TWO, [0.5, 1.0, 1.5], PAIR)
     told = check_assumptions(scenario).of("regressor")
     assert all(told[name].fulfilled for name in (CLASS, DELAYS, OF_ALPHAS))
     assert "element 1: exponential: 1 basis functions" in told[CLASS].evidence
