@@ -57,11 +57,24 @@ two = { kind = "constant", value = [1.0, 2.0] }
 g = { kind = "gain", K = [[2.0, 0.0], [0.0, 3.0]] }
 x = { kind = "lag", time_constant = 0.5 }
 log = { kind = "lag", time_constant = 0.5 }
+flag = { kind = "constant", value = true }
+double = { kind = "gain", K = 2.0 }
+limit = { kind = "limit", lower = -1.0, upper = 1.5 }
+filter = { kind = "lag", time_constant = 0.5, initial = 0.0 }
+pid = { kind = "pid", gain = 2.0, integral_time = 1.0, lower = -5.0, upper = 5.0 }
+noise = { kind = "noise", deviation = 0.1, seed = 3 }
+k = { kind = "controller", A = [[-1.0]], B = [[1.0]], C = [[1.0]] }
 
 [connections]
 "g.u" = "two.y"
 "x.u" = "s.y"
 "log.u" = "s.y"
+"double.u" = "s.y"
+"limit.u" = "s.y"
+"filter.u" = "double.y"
+"pid.setpoint" = "s.y"
+"pid.measurement" = "filter.y"
+"k.u" = "s.y"
 """
 ACTIONS = """
 [[actions]]
@@ -243,35 +256,14 @@ def test_a_wrong_action_is_one_error_before_the_run(write):
 STEP = 0.1
 
 
-SETTABLE = """
-scenario = { name = "set", stop = 4.0, step = 0.1 }
-[components]
-s = { kind = "sine", rate = 1.0, offset = 1.0 }
-c = { kind = "constant", value = [1.0, 2.0] }
-flag = { kind = "constant", value = true }
-g = { kind = "gain", K = 2.0 }
-limit = { kind = "limit", lower = -1.0, upper = 1.5 }
-x = { kind = "lag", time_constant = 0.5, initial = 0.0 }
-pid = { kind = "pid", gain = 2.0, integral_time = 1.0, lower = -5.0, upper = 5.0 }
-noise = { kind = "noise", deviation = 0.1, seed = 3 }
-k = { kind = "controller", A = [[-1.0]], B = [[1.0]], C = [[1.0]] }
-
-[connections]
-"g.u" = "s.y"
-"limit.u" = "s.y"
-"x.u" = "g.y"
-"pid.setpoint" = "s.y"
-"pid.measurement" = "x.y"
-"k.u" = "s.y"
-"""
 SETTINGS = """
 [[actions]]
 at = 1.0
-set = { "g.K" = 3.0, "x.time_constant" = 0.25 }
+set = { "double.K" = 3.0, "filter.time_constant" = 0.25 }
 
 [[actions]]
 at = 2.0
-set = { g.K = -1.0, "limit.upper" = 0.5, "c.value" = [3.0, 4.0] }
+set = { double.K = -1.0, "limit.upper" = 0.5, "two.value" = [3.0, 4.0] }
 
 [[actions]]
 at = 2.5
@@ -281,17 +273,17 @@ set = { "pid.gain" = 1.0, "noise.deviation" = 0.2, "s.amplitude" = 2.0 }
 
 def test_parameters_are_set_at_their_instants(write):
     """Rows behind them follow the new values; the row of the instant has the old ones."""
-    run = cosim.run(write(SETTINGS, SETTABLE))
+    run = cosim.run(write(SETTINGS))
     s = run["s.y"]
     t = STEP * np.arange(41)
     amplitude = np.where(np.arange(41) <= 25, 1.0, 2.0)
     assert abs(s - (1.0 + amplitude * np.sin(t))).max() < 1e-12
     factor = np.array([2.0] * 11 + [3.0] * 10 + [-1.0] * 20)
-    assert (run["g.y"] == factor * s).all()
+    assert (run["double.y"] == factor * s).all()
     upper = np.array([1.5] * 21 + [0.5] * 20)
     assert (run["limit.y"] == np.clip(s, -1.0, upper)).all()
-    assert run["c.y"].tolist() == [[1.0, 2.0]] * 21 + [[3.0, 4.0]] * 20
-    plain = cosim.run(write("", SETTABLE))
+    assert run["two.y"].tolist() == [[1.0, 2.0]] * 21 + [[3.0, 4.0]] * 20
+    plain = cosim.run(write(""))
     assert (run["noise.y"][:26] == plain["noise.y"][:26]).all()
     ratio = run["noise.y"][26:] / plain["noise.y"][26:]
     assert abs(ratio - 2.0).max() < 4 * 2**-52
@@ -299,13 +291,13 @@ def test_parameters_are_set_at_their_instants(write):
 
 def test_states_stay(write):
     """The lag goes on from where it was; so does the integral part of the controller."""
-    run = cosim.run(write(SETTINGS, SETTABLE))
+    run = cosim.run(write(SETTINGS))
     events = [event for event in run.events() if event.time_ns == 10**9]
-    assert [event.signal for event in events if event.cause == "follow"] == ["g.y", "x.u"]
-    x = run["x.y"]
+    assert [event.signal for event in events if event.cause == "follow"] == ["double.y", "filter.u"]
+    x = run["filter.y"]
     # the right limit of u at 1 s, and its value a step later, on a straight line between
     u0 = 3.0 * run["s.y"][10]
-    u1 = run["x.u"][11]
+    u1 = run["filter.u"][11]
     rate = 4.0
     slope = (u1 - u0) / STEP
     decay = np.exp(-rate * STEP)
@@ -321,13 +313,11 @@ def test_states_stay(write):
 
 
 @pytest.mark.parametrize(
-    ("actions", "base"),
-    [(ACTIONS, BASE), (CONDITIONAL, BASE), (SETTINGS, SETTABLE)],
-    ids=["timed", "conditional", "parameters"],
+    "actions", [ACTIONS, CONDITIONAL, SETTINGS], ids=["timed", "conditional", "parameters"]
 )
-def test_runs_replays_and_sessions_act_alike(write, tmp_path, actions, base):
+def test_runs_replays_and_sessions_act_alike(write, tmp_path, actions):
     """One content hash for blocks of any size; a replay of the replay has the bits, too."""
-    path = write(actions, base)
+    path = write(actions)
     log = cosim.run(path, out=tmp_path / "a.mcap")
     for block in (1, 3):
         other = cosim.run(path, out=tmp_path / "b.mcap", block=block, force=True)
@@ -343,21 +333,21 @@ def test_runs_replays_and_sessions_act_alike(write, tmp_path, actions, base):
 
 def test_a_replay_sets_what_was_recorded(write, tmp_path):
     """The designs are in the log; a parameter of the scenario can be another one."""
-    log = cosim.run(write(SETTINGS, SETTABLE), out=tmp_path / "a.mcap")
-    assert set(log.metadata["cosim.settings"]) >= {"1000000000 x", "2500000000 pid"}
-    other = cosim.replay(log, set={"x.time_constant": 1.0})
-    assert (other["x.y"][1:11] != log["x.y"][1:11]).all()
+    log = cosim.run(write(SETTINGS), out=tmp_path / "a.mcap")
+    assert set(log.metadata["cosim.settings"]) >= {"1000000000 filter", "2500000000 pid"}
+    other = cosim.replay(log, set={"filter.time_constant": 1.0})
+    assert (other["filter.y"][1:11] != log["filter.y"][1:11]).all()
     first = describe_log(str(tmp_path / "a.mcap"))["overrides"][0]
-    assert first == {"t": 1.0, "signal": "g.K", "cause": "set", "values": "3"}
+    assert first == {"t": 1.0, "signal": "double.K", "cause": "set", "values": "3"}
 
 
 def test_designs_that_are_set_at_a_condition_are_verified(write, tmp_path):
     """Those of the log against what they are computed to anew; another one is found."""
-    action = '[[actions]]\nwhen = "s.y > 1.5"\nset = { "x.time_constant" = 0.25 }\n'
-    log = cosim.run(write(action, SETTABLE), out=tmp_path / "a.mcap")
+    action = '[[actions]]\nwhen = "s.y > 1.5"\nset = { "filter.time_constant" = 0.25 }\n'
+    log = cosim.run(write(action), out=tmp_path / "a.mcap")
     replays = replays_of(log)
     designs = replays.designs()
-    (name,) = [name for name in designs if name.endswith(" x")]
+    (name,) = [name for name in designs if name.endswith(" filter")]
     assert verify(log, cosim.replay(log), designs).passed
     designs[name] = {key: 1.5 * values for key, values in designs[name].items()}
     problems = verify(log, cosim.replay(log), designs).problems
@@ -425,33 +415,57 @@ def sets(name, value=1.0, **when):
     return {**(when or {"at": 1.0}), "set": {name: value}}
 
 
-LATER = {"when": "x.y > 1"}
+LATER = {"when": "filter.y > 1"}
 WRONG_SETTINGS = [  # actions, the key of what is wrong, words of the message
-    ([sets("h.K")], "[0].set.h.K", "no component 'h'; available: s, c"),
-    ([sets("x.initial")], "[0].set.x.initial", "no tunable .*; available: time_constant$"),
+    ([sets("h.K")], "[0].set.h.K", "no component 'h'; available: s, two"),
+    (
+        [sets("filter.initial")],
+        "[0].set.filter.initial",
+        "no tunable .*; available: time_constant$",
+    ),
     ([sets("pid.gian")], "[0].set.pid.gian", r"did you mean 'gain'\? Available: gain, "),
-    ([sets("g.K", "much")], "[0].set.g.K", "expected a number .*, got 'much'"),
-    ([sets("g.K", math.inf)], "[0].set.g.K", "expected a finite number, got inf"),
-    ([sets("x.time_constant", -1.0)], "[0].set.x.time_constant", r"> 0, got -1\.0 s"),
-    ([sets("c.value", [1.0, 2.0, 3.0])], "[0].set.c.value", "direct feedthrough of 'c'"),
-    ([sets("c.value", True)], "[0].set.c.value", "a number or .*, got True"),
-    ([sets("c.value", [True, False])], "[0].set.c.value", r"a number or .*, got \[True, False\]"),
-    ([sets("c.value", [[1.0], [2.0]])], "[0].set.c.value", r"got \[\[1\.0\], \[2\.0\]\]"),
-    ([sets("x.time_constant", {"a": 1})], "[0].set.x.time_constant", r"got \{'a': 1\}"),
+    ([sets("double.K", "much")], "[0].set.double.K", "expected a number .*, got 'much'"),
+    ([sets("double.K", math.inf)], "[0].set.double.K", "expected a finite number, got inf"),
+    ([sets("filter.time_constant", -1.0)], "[0].set.filter.time_constant", r"> 0, got -1\.0 s"),
+    ([sets("two.value", [1.0, 2.0, 3.0])], "[0].set.two.value", "direct feedthrough of 'two'"),
+    ([sets("two.value", True)], "[0].set.two.value", "a number or .*, got True"),
+    (
+        [sets("two.value", [True, False])],
+        "[0].set.two.value",
+        r"a number or .*, got \[True, False\]",
+    ),
+    ([sets("two.value", [[1.0], [2.0]])], "[0].set.two.value", r"got \[\[1\.0\], \[2\.0\]\]"),
+    ([sets("filter.time_constant", {"a": 1})], "[0].set.filter.time_constant", r"got \{'a': 1\}"),
     ([sets("flag.value", 0.0)], "[0].set.flag.value", r"true or false, got 0\.0"),
-    ([sets("g")], "[0].set.g", "tunable parameter of 'g', got none; available: K"),
+    ([sets("double")], "[0].set.double", "tunable parameter of 'double', got none; available: K"),
     ([sets("k.A", [[1.0]])], "[0].set.k.A", "no tunable parameter 'A'; none is available"),
     ([sets("pid.tracking_time")], "[0].set.pid.tracking_time", "in the table of 'pid'"),
-    ([on(set={"g.K": 1.0})], "[0].signal", "not allowed with 'set'"),
+    ([on(set={"double.K": 1.0})], "[0].signal", "not allowed with 'set'"),
     ([on(None, set={})], "[0].set", "a parameter and its value, got an empty table"),
     ([on(None, swap={})], "[0].swap", r"a component and its \.fmu, got an empty table"),
-    ([sets("g.K"), sets("g.K")], "[1].set.g.K", r"changed by actions\[0\] at the same instant"),
-    ([sets("g.K"), sets("g.K", **LATER)], "[1].set.g.K", r"actions\[0\], .*condition"),
-    ([sets("g.K", **LATER), sets("g.K")], "[1].set.g.K", r"actions\[0\], .*condition"),
-    ([sets("g.K", **LATER), sets("g.K", **LATER)], "[1].set.g.K", "at the same instant"),
     (
-        [sets("g.K", **LATER), sets("g.K", when="t > 2")],
-        "[1].set.g.K",
+        [sets("double.K"), sets("double.K")],
+        "[1].set.double.K",
+        r"changed by actions\[0\] at the same instant",
+    ),
+    (
+        [sets("double.K"), sets("double.K", **LATER)],
+        "[1].set.double.K",
+        r"actions\[0\], .*condition",
+    ),
+    (
+        [sets("double.K", **LATER), sets("double.K")],
+        "[1].set.double.K",
+        r"actions\[0\], .*condition",
+    ),
+    (
+        [sets("double.K", **LATER), sets("double.K", **LATER)],
+        "[1].set.double.K",
+        "at the same instant",
+    ),
+    (
+        [sets("double.K", **LATER), sets("double.K", when="t > 2")],
+        "[1].set.double.K",
         r"actions\[0\], .*condition",
     ),
 ]
@@ -459,7 +473,7 @@ WRONG_SETTINGS = [  # actions, the key of what is wrong, words of the message
 
 def test_a_wrong_setting_is_one_error_before_the_run(write):
     """With its place, what was found and what was needed."""
-    check_actions_refused(write("", SETTABLE), WRONG_SETTINGS)
+    check_actions_refused(write(""), WRONG_SETTINGS)
 
 
 def test_a_parameter_of_a_design_model_cannot_be_set():
@@ -471,14 +485,14 @@ def test_a_parameter_of_a_design_model_cannot_be_set():
 
 def test_a_log_with_a_setting_that_does_not_fit_is_refused(write, tmp_path):
     """It was written by another version, or is damaged."""
-    log = cosim.run(write(SETTINGS, SETTABLE), out=tmp_path / "a.mcap")
+    log = cosim.run(write(SETTINGS), out=tmp_path / "a.mcap")
 
     def replay(signal):
         log.events = lambda: [SignalEvent(10**9, "set", signal, (1.0,))]
         cosim.replay(log)
 
     misfit = r"event of '{}' at t = 1\.0 s does not match"
-    cases = [("x.initial", f"{misfit.format('x')}: .*no tunable parameter")]
+    cases = [("filter.initial", f"{misfit.format('filter')}: .*no tunable parameter")]
     check_refused([*cases, ("y.K", misfit.format("y"))], replay, LogError)
 
 

@@ -174,21 +174,6 @@ def test_an_absent_component_has_no_value(seed):
     assert abs(error) < 4.0 * standard_error(log)[-1, 0]
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("without_verdicts")
-def test_a_zero_order_hold_costs_the_square_of_the_step_or_the_step():
-    """Held inputs are taken as held; what the plant held of the disturbance is half a step late."""
-    errors = []
-    for step in (0.02, 0.01):
-        settings = {**COARSE, "scenario.step": step, "scenario.input_interpolation": "zero-order"}
-        log = cosim.run("academic", set=settings)
-        errors.append(np.abs(theta(log)[-1] - THETA))
-    assert (errors[1] < 1e-3).all()
-    ratio = errors[0] / errors[1]
-    assert (ratio > 1.7).all()
-    assert (ratio < 4.3).all()
-
-
 NO_SENSE = [
     ({"window": 0.0}, r"identifier.window'\]: expected a number > 0, got 0.0"),
     ({"window": 8.0, "forgetting": 3.0}, "window and forgetting, got both"),

@@ -5,7 +5,6 @@ The report has what stops the run, too, and which ports may have been meant.
 
 import ast
 import json
-import textwrap
 
 import numpy as np
 import pytest
@@ -59,69 +58,45 @@ def test_an_exported_plant_differs_in_nothing(folder):
     assert rows["y", "static gain"] == pytest.approx({"u -> y": -4 / 3, "delta -> y": 2 / 3})
 
 
-TWO_INPUTS = """
-    scenario = { name = "two-inputs", stop = 2.0, step = 0.01 }
-    [models.two]
-    A = [[0.0, 1.0], [-4.0, -2.0]]
-    B = [[0.0, 0.0], [1.0, 0.5]]
-    C = [[1.0, 0.0], [0.0, 1.0]]
-    disturbances = [1]
-    [components]
-    plant = { kind = "descriptor", model = "two", x0 = [0.0, 0.0] }
-    u = { kind = "constant", value = 1.0 }
-    delta = { kind = "sine", amplitude = 1.0, rate = 3.0 }
-    sum = { kind = "gain", K = [[1.0, 1.0]] }
-    [connections]
-    "sum.u" = "plant.y"
-    "plant.u" = "u.y"
-    "plant.delta" = "delta.y"
-    """
+TWO_OUTPUTS = {
+    "models.academic.C": [[2, 0, 1], [0, 1, 0]],
+    "components.observer.L": [[4.0, 0.0], [0.0, 4.0]],
+}
+# D - C A^-1 B of x1 - u and x2
+GAINS = {("u", 0): -4 / 3, ("delta", 0): 2 / 3, ("u", 1): 2 / 3, ("delta", 1): -1 / 3}
+INPUTS = {"u": "delta", "delta": "u"}
 
 
 @pytest.fixture(scope="module")
-def two_inputs(tmp_path_factory):
-    """Write a plant of two inputs and two outputs, and its FMU; return the scenario."""
-    folder = tmp_path_factory.mktemp("two")
-    path = folder / "two.toml"
-    path.write_text(textwrap.dedent(TWO_INPUTS))
-    export_component(str(path), "plant", folder / "two.fmu")
-    return path
+def two_outputs(tmp_path_factory):
+    """Return the example with two outputs, and the FMU of its plant."""
+    scenario = cosim.load("academic").set({**TWO_OUTPUTS, **SHORT})
+    path = tmp_path_factory.mktemp("two") / "two.fmu"
+    export_component(scenario, "plant", path)
+    return scenario, path
 
 
 @pytest.mark.parametrize(
-    ("maps", "differences"),
+    ("maps", "exchanged", "ports"),
     [
-        ({}, {}),
-        (
-            {"plant.u": "delta", "plant.delta": "u"},
-            {"y": {"u -> y[0]": (0.25, 0.125), "delta -> y[0]": (0.125, 0.25)}},
-        ),
-        (
-            {"plant.y": "[y[1],y[0]]"},
-            {
-                "y": {
-                    "u -> y[0]": (0.25, 0.0),
-                    "delta -> y[0]": (0.125, 0.0),
-                    "u -> y[1]": (0.0, 0.25),
-                    "delta -> y[1]": (0.0, 0.125),
-                }
-            },
-        ),
+        ({}, None, set()),
+        ({"plant.u": "delta", "plant.delta": "u"}, lambda u, y: (INPUTS[u], y), {"x_a", "y"}),
+        ({"plant.y": "[y[1],y[0]]"}, lambda u, y: (u, 1 - y), {"y"}),
     ],
     ids=["as they are", "inputs exchanged", "outputs exchanged"],
 )
-def test_exchanged_ports_differ_element_by_element(two_inputs, maps, differences):
+def test_exchanged_ports_differ_element_by_element(two_outputs, maps, exchanged, ports):
     """Their sizes, types and sorted gains are those of the ports that they stand in for."""
-    scenario = cosim.load(two_inputs).edit(swap={"plant": two_inputs.with_suffix(".fmu")}, map=maps)
-    (found,) = compare_swaps(scenario).reports.values()
-    rows = {(row.port, row.aspect): row for row in found.rows}
-    for port, entries in differences.items():
-        row = rows[port, "static gain"]
-        assert row.verdict == "differs"
-        assert row.before == pytest.approx({name: old for name, (old, _) in entries.items()})
-        assert row.after == pytest.approx({name: new for name, (_, new) in entries.items()})
+    scenario, fmu = two_outputs
+    (found,) = compare_swaps(scenario.edit(swap={"plant": fmu}, map=maps)).reports.values()
     wrong = {row.port for row in found.rows if row.connected and row.verdict == "differs"}
-    assert wrong == set(differences)
+    assert wrong == ports
+    if exchanged:
+        (row,) = [row for row in found.rows if (row.port, row.aspect) == ("y", "static gain")]
+        names = {f"{u} -> y[{y}]": (u, y) for u, y in GAINS}
+        assert row.before == pytest.approx({name: GAINS[names[name]] for name in names})
+        after = {name: GAINS[exchanged(*names[name])] for name in names}
+        assert row.after == pytest.approx(after)
 
 
 def test_another_interface_type_and_start_are_listed_and_warned_of(folder, tmp_path):
