@@ -499,11 +499,7 @@ TWO = VECTOR.replace('= "command.y"', '= ["command.y[0]", "ramp.y"]').replace(
 
 
 @pytest.mark.parametrize(
-    ("text", "u"),
-    [
-        (VECTOR, "/cmd.values"),
-        (TWO, ["/cmd.values[0]", "/cmd.values[1]"]),
-    ],
+    ("text", "u"), [(VECTOR, "/cmd.values"), (TWO, ["/cmd.values[0]", "/cmd.values[1]"])]
 )
 def test_elements_of_a_recorded_input_are_those_of_what_drove_it(tmp_path, text, u):
     """``command.y[1]`` becomes ``plant.u[1]``, a slice is one too; each signal has its own."""

@@ -19,12 +19,7 @@ from cosim.fmi.reading.model_description import read
 from cosim.report.summary import summarize
 from cosim.scenario.assumptions.report import check_assumptions
 from cosim.scenario.exporting import export_component
-from cosim.scenario.kinds.observer_design import (
-    MovingModel,
-    design_model,
-    model_toml,
-    split,
-)
+from cosim.scenario.kinds.observer_design import MovingModel, design_model, model_toml, split
 from cosim.scenario.record import component_record, recorded_warnings
 from tests.fmi.pendulum import FRICTION, G, jacobian, pendulum
 from tests.scenario.fmu_edits import rewritten
@@ -546,11 +541,8 @@ def test_an_estimate_is_made_consistent_too(tmp_path, window):
     filter_keys = "filter_rate = 1e3"
     if window:
         filter_keys = 'filter = "savitzky-golay"\nhalf_width = 0.1'
-    observer = (
-        '"observer.u" = "u.y"\n"observer.y" = "plant.y"\n[components.observer]\n'
-        f'kind = "unknown-input-observer"\nmodel = "m"\npoles = [-4.0]\n{filter_keys}\n'
-        "x0 = [0.5, 0.0, 0.0]\n"
-    )
+    keys = f"poles = [-4.0]\n{filter_keys}\nx0 = [0.5, 0.0, 0.0]"
+    observer = OBSERVER.format(keys=keys).partition("[truth]")[0]
     log = cosim.run(write(tmp_path / "x.toml", PLAIN, "x0 = [1.0, -1.0, -1.0]", observer))
     expected = [{"entry": "x[2]", "before": 0.0, "after": -0.5}]
     assert changes(log) == {"observer": expected}

@@ -79,10 +79,7 @@ INPUTS = {
 }
 # y = x1 - u of an FMU that holds its inputs belongs to their mean: late by half a step
 LATE = {
-    "components.late": {
-        "kind": "expression",
-        "y": "0.5*(sin(t) - sin(max(t - 0.001, -t)))",
-    },
+    "components.late": {"kind": "expression", "y": "0.5*(sin(t) - sin(max(t - 0.001, -t)))"},
     "components.measured": {"kind": "sum", "signs": [1.0, 1.0]},
     "connections.measured.u1": "plant.y",
     "connections.measured.u2": "late.y",

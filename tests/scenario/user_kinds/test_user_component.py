@@ -1,7 +1,6 @@
 """A component of a user's class in a scenario: its run, its log, its replay, its errors."""
 
 import json
-import re
 import shutil
 import sys
 
@@ -234,19 +233,6 @@ def test_a_replay_in_another_folder_says_where_it_looked(folder, monkeypatch):
     message = rf"thermostat\.toml:11: components\.relay\.class: .*'relay' in {other} "
     with pytest.raises(ScenarioError, match=message):
         cosim.replay("a.mcap", allow_code=True)
-
-
-def test_the_command_replays_with_and_without_the_code(folder, call):
-    """It says what was not computed; other code than that of the log is exit code 2."""
-    call("run", "thermostat.toml", "--out", "a.mcap", "--quiet")
-    code, out, _ = call("replay", "a.mcap", "--verify")
-    assert code == 0
-    assert re.search("not verified.*: relay\\.y; --allow-code", out)
-    code, out, _ = call("replay", "a.mcap", "--verify", "--allow-code")
-    assert (code, "not verified" in out) == (0, False)
-    (folder / "relay.py").write_text(RELAY + "\n")
-    code, _, err = call("replay", "a.mcap", "--verify", "--allow-code")
-    assert (code, "--set relay.class=relay:Relay" in err) == (2, True)
 
 
 # --- what classes do wrong ---
