@@ -83,7 +83,7 @@ def test_a_log_that_names_another_condition_contradicts_its_scenario(tmp_path):
 
 
 def test_a_condition_that_never_comes_true_is_said(tmp_path):
-    """In the log and in the summary; the run is complete. True at the start leaves the first row."""
+    """In the log and in the summary; the run is complete. At the start it leaves the first row."""
     log = cosim.run(file(tmp_path, 'until = "x.y > 5"'), out=tmp_path / "a.mcap")
     assert (log.steps, log.status, log.reason) == (40, "complete", "")
     assert tuple(log.messages()[-1]) == (4 * 10**9, "info", "run", "until 'x.y > 5': never met")

@@ -16,7 +16,7 @@ from cosim.scenario.assumptions import method
 from cosim.scenario.assumptions.report import BEGINNING, FILE, FILTER, RESOLUTION, check_assumptions
 from cosim.scenario.building.build import Builder
 from cosim.scenario.running.execution import load
-from cosim.theory.observers.assumptions import DECOUPLING, DETECTABILITY, HURWITZ, INDEX, PENCIL
+from cosim.theory.observers.assumptions import DECOUPLING, DETECTABILITY, HURWITZ, INDEX
 
 BOTH = ["1.35 + 0.25*sin(1.7*t)", "1.10 + 0.20*cos(2.3*t)"]
 COARSE = {"scenario.step": 0.01}
@@ -108,8 +108,6 @@ def sine(rate, delays=(1.0, 2.0, 3.0)):
 SINE = [{"family": "sine"}]
 A = "models.academic.A"
 UNSTABLE_ZERO = {A: [[0, 1, 1], [0, 2, 1], [1, 0, 1]]}
-SINGULAR = {A: [[0, 1, 1], [0, -2, 1], [0, 0, 0]], "models.academic.Bu": [[0], [2], [0]]}
-TWO = {"models.academic.Bd": [[1, 0], [0, 1], [0, 0]]}
 INTEGRATORS = {"models.academic.Bd": [[0], [1], [0]]}
 INDEX_2 = {A: [[0, 1, 1], [0, -2, 1], [1, 0, 0]]}
 ALIKE = [{"alpha": alpha, "family": "exponential"} for alpha in ("1 + t", "2 + 2*t")]
@@ -130,8 +128,6 @@ RAYLEIGH = {"identifier.method": "rayleigh"}
         ({"observer.L": [0.0, 0.0]}, "observer", HURWITZ, ""),
         (INTEGRATORS, "observer", DECOUPLING, "RELATIVE_DEGREE"),
         (INDEX_2, "models.academic", INDEX, "INDEX_2"),
-        (SINGULAR, "models.academic", PENCIL, "PENCIL_SINGULAR"),
-        (TWO, "observer", DECOUPLING, "FEWER_OUTPUTS_THAN_DISTURBANCES"),
         ({"regressor.delays": [1.0, 2.0, 2.0]}, "regressor", method.DELAYS, ""),
         ({"regressor.delays": [1.0, 2.0]}, "regressor", method.DELAYS, ""),
         ({"regressor.delays": [1.0, 2.0, 3.005]}, "regressor", method.DELAYS, ""),

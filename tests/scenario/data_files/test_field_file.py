@@ -222,15 +222,11 @@ NO_SAMPLES = [
 
 def test_another_file_than_a_table_of_samples_is_refused(tmp_path):
     """With the line and the column, or the key, never with what stands there."""
-
-    def read(text, options):
-        read_field_data(written(tmp_path, text), **options)
-
     of_file = r"(?s)^(?!.*n/a)(?=.*field\.csv|decimal|separator|columns|missing|offset|same_time)"
     cases = []
     for text, options, pattern in NO_SAMPLES:
         cases.append((text, options, pattern if pattern[0] == "^" else f"{of_file}.*{pattern}"))
-    check_refused(cases, read)
+    check_refused(cases, lambda text, options: read_field_data(written(tmp_path, text), **options))
 
 
 def test_info_shows_what_is_read(tmp_path):

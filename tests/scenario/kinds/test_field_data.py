@@ -275,11 +275,8 @@ def test_wrong_options_are_refused(experiment, tmp_path):
     """Before the run, with the way out, in one line."""
     path = experiment.written(tmp_path, experiment.y)
 
-    def refuse(changes):
-        experiment.run(path, changes)
-
     cases = [(changes, re.escape(text)) for changes, text in WRONG_OPTIONS]
-    check_refused(cases, refuse, ScenarioError)
+    check_refused(cases, lambda changes: experiment.run(path, changes), ScenarioError)
     # it is no problem of the identifier, which asks how many samples there are
     with pytest.raises(ScenarioError, match=r"\A.*plant.*cannot be read.*\Z"):
         experiment.run(tmp_path / "missing.csv")

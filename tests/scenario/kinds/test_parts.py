@@ -154,12 +154,9 @@ WRONG_VALUES = [
 
 
 def test_a_wrong_value_is_one_problem_of_the_component():
-    def refuse(errors):
-        cosim.run(measured(**errors))
-
     place = r"\Aset\['sensor'\]"
     cases = [(errors, rf"{place}[^\n]*{text}[^\n]*\Z") for errors, text in WRONG_VALUES]
-    check_refused(cases, refuse, ScenarioError)
+    check_refused(cases, lambda errors: cosim.run(measured(**errors)), ScenarioError)
 
 
 # --- look-up tables ---

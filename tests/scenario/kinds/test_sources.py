@@ -91,11 +91,7 @@ WRONG_JUMPS = [
 
 def test_a_jump_that_would_be_wrong_is_refused(tmp_path):
     """With its instant, the nearest points, and the way out."""
-
-    def refuse(table):
-        run(tmp_path, table)
-
-    check_refused(WRONG_JUMPS, refuse, ScenarioError)
+    check_refused(WRONG_JUMPS, lambda table: run(tmp_path, table), ScenarioError)
 
 
 def test_a_value_that_rounding_delays_is_refused(tmp_path):
@@ -361,15 +357,11 @@ WRONG_EXPRESSIONS = {
 
 def test_a_wrong_expression_is_refused_with_its_line(tmp_path):
     """One error each, at the component."""
-
-    def start(d):
-        cosim.load(derived(tmp_path, d)).start()
-
     place = r"\A.*:[89]: components\.d"
     cases = [
         (d, rf"{place}[^\n]*{re.escape(part)}[^\n]*\Z") for d, part in WRONG_EXPRESSIONS.items()
     ]
-    check_refused(cases, start, ScenarioError)
+    check_refused(cases, lambda d: cosim.load(derived(tmp_path, d)).start(), ScenarioError)
 
     path = derived(tmp_path, 'y = "s.y"', '"d.u1" = "x.y"\n"z.u" = "d.y"')
     with pytest.raises(ScenarioError, match=r"'d\.u1' has its source from the table of 'd'"):
