@@ -557,6 +557,7 @@ def expressions(first, second=OF_TIME[1], **keys):
 
 DISCRETE = expressions(*OF_TIME, discrete=True)
 PROPORTIONAL = expressions(OF_TIME[0], "2.7 + 0.5*sin(1.7*t)")
+TAKEN = {"connections.regressor.alpha": "schedule.y"}
 INFINITE = expressions(OF_TIME[0], "1/(t - 5)")
 FAST = expressions(OF_TIME[0].replace("1.7", "170"))
 WRONG_SIGNALS = [
@@ -570,12 +571,7 @@ WRONG_SIGNALS = [
     (FAST, BOTH, {}, r"components.*0\.\d+ of .*'schedule.y\[0\]'"),
     # a sum with a step in it jumps; the terms alone connect the input
     (SCHEDULE, ("speed.y", SECOND), GEAR, r"'speed\.y' jumps with gear\.y"),
-    (
-        SCHEDULE,
-        BOTH,
-        {"connections.regressor.alpha": "schedule.y"},
-        r"'regressor\.alpha' .*of 'regressor'",
-    ),
+    (SCHEDULE, BOTH, TAKEN, r"'regressor\.alpha' .*of 'regressor'"),
 ]
 
 

@@ -220,14 +220,8 @@ ENTRIES = [
     ('plant = { map = { "plant.u" = "x" } }', r"academic:\d+: swap\.plant: 'path' is missing"),
     ('plant = "x.xyz"', r"academic:\d+: swap\.plant: .* \.fmu"),
     ('plant = "x.fmu#xx"', r"academic:\d+: swap\.plant: .*'#me' .*'#cs' .*, got '#xx'$"),
-    (
-        'plant = { path = "x.fmu", map = { "regressor.z" = "x" } }',
-        r"map\.regressor\.z: .* plant\.u",
-    ),
-    (
-        'plant = { path = "x.fmu", map = { plant.u = 1 } }',
-        r"swap\.plant\.map\.plant\.u: .*, got 1\n",
-    ),
+    ('plant = { path = "x.fmu", map = { "regressor.z" = "x" } }', r"map\.regressor\.z: .*plant\.u"),
+    ('plant = { path = "x.fmu", map = { plant.u = 1 } }', r"swap\.plant\.map\.plant\.u: .*got 1\n"),
     ('plant = { path = "x.fmu", mode = "cs" }', r"swap\.plant\.mode: unknown key 'mode'"),
 ]
 
