@@ -1,6 +1,7 @@
 """Sources that jump: at communication points, by discrete signals, or not at all."""
 
 import re
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -149,6 +150,16 @@ def test_a_held_table_has_its_value_from_its_instant_on(step_ns, start_ns, numbe
     if numbers[-1] < 50 and step_ns > 10**6:
         with pytest.raises(UsageError, match="between two communication points"):
             held_from_points(beside, y, clock)
+
+
+def test_a_held_table_may_have_the_stamps_of_a_step_that_is_a_fraction():
+    """So a log has its times: whole nanoseconds; what is beside them is refused."""
+    clock = Clock(1.0, Fraction(1, 60))
+    stamps = np.array([0.0, 0.016666667, 0.033333333, 0.05])
+    y = np.arange(4.0)[:, np.newaxis]
+    assert held_from_points(stamps, y, clock).tolist() == (np.arange(4) / 60).tolist()
+    with pytest.raises(UsageError, match="between two communication points"):
+        held_from_points(np.array([0.0, 0.016666668, 0.033333333, 0.05]), y, clock)
 
 
 def test_a_regressor_refuses_alphas_that_jump():
