@@ -1,4 +1,4 @@
-"""The table of terms: every family as a source and in a regressor, and wrong numbers refused."""
+"""Terms: every family as a source and in a regressor, alphas that are signals, what is refused."""
 
 from __future__ import annotations
 

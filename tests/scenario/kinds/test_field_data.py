@@ -1,4 +1,4 @@
-"""A file of samples in the place of the plant: estimates at the bound for the samples there are."""
+"""Recordings of others in the place of the plant: samples of a file, fields of an MCAP."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An observer that is designed on an FMU: as on the matrices, replayed from the log alone."""
+"""Observers that are designed on an FMU, and on models in the general form."""
 
 import json
 import math

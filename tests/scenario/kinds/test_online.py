@@ -1,4 +1,4 @@
-"""The identifier by output error, online: its contract, its options, and what it does not say."""
+"""The identifier by output error, online: its contract and options, outputs, samples and errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sources that jump: at communication points, by discrete signals, or not at all."""
+"""Sources that jump, at communication points or not at all; expressions over other signals."""
 
 import re
 from fractions import Fraction

@@ -1,7 +1,4 @@
-"""Before a run: how a swapped component compares with the one that it replaces.
-
-The report has what stops the run, too, and which ports may have been meant.
-"""
+"""Before a run: how a swapped component compares with the one that it replaces."""
 
 import ast
 import json

@@ -1,4 +1,4 @@
-"""How the class of a user is found: in the folder of the scenario, or on sys.path."""
+"""How the class of a user is found, and what its constructor gets from the table."""
 
 import hashlib
 import importlib

@@ -1,4 +1,4 @@
-"""A component of a user's class in a scenario: its run, its log, its replay, its errors."""
+"""Components of users' classes, by name or installed: runs, logs, replays, errors."""
 
 import json
 import shutil
