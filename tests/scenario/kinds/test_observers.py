@@ -343,7 +343,7 @@ C = [[2, 0, 1], [0, 1, 0]]
 D = [[0, 0, 0], [0, 0, 0.5]]
 disturbances = [0, 2]
 """
-SECOND = 'second = { kind = "sine", amplitude = 0.3, rate = 3.0, phase = 0.7 }'
+SECOND = {"kind": "sine", "amplitude": 0.3, "rate": 3.0, "phase": 0.7}
 FILTERS = {
     "first-order": "filter_rate = 1e4",
     "consistent": 'filter = "consistent"\nfilter_rate = 200.0',
@@ -351,31 +351,18 @@ FILTERS = {
 }
 
 
-@pytest.fixture
-def direct(tmp_path):
-    """Return a function that writes a scenario with a direct disturbance, for a filter.
-
-    Two components drive delta.
-    """
-
-    def written(name):
-        keys = f"poles = [-4.0]\n{FILTERS[name]}\nx0 = [0.5, 0.0, 0.0]"
-        more = OBSERVER.format(keys=keys)
-        path = write(tmp_path / "direct.toml", DIRECT, "x0 = [1.0, -1.0, -1.0]", more)
-        text = path.read_text().replace('delta" = "delta.y"', 'delta" = ["delta.y", "second.y"]')
-        path.write_text(text.replace("[components.plant]", f"{SECOND}\n[components.plant]"))
-        return path
-
-    return written
-
-
 @pytest.mark.parametrize("name", FILTERS)
-def test_every_filter_reconstructs_both_disturbances(direct, name):
+def test_every_filter_reconstructs_both_disturbances(tmp_path, name):
     """Poles at -4 and the zero: after 3 s e^-6 of the start is left, times 1e-2 what lag leaves.
 
     The direct one follows y - x at once, or is averaged as the other is: one lag for all of delta.
     """
-    log = cosim.run(direct(name), set={"scenario.step": 1e-3, "scenario.stop": 8.0})
+    keys = f"poles = [-4.0]\n{FILTERS[name]}\nx0 = [0.5, 0.0, 0.0]"
+    more = OBSERVER.format(keys=keys)
+    path = write(tmp_path / "direct.toml", DIRECT, "x0 = [1.0, -1.0, -1.0]", more)
+    two = {"components.second": SECOND, "connections.plant.delta": ["delta.y", "second.y"]}
+    two["truth.observer.delta"] = ["delta.y", "second.y"]
+    log = cosim.run(path, set={**two, "scenario.step": 1e-3, "scenario.stop": 8.0})
     lag = {"first-order": 0, "consistent": 5, "savitzky-golay": 50}[name]
     delta = np.column_stack([log["delta.y"], log["second.y"]])
     late = 6000
