@@ -122,10 +122,6 @@ def plain(experiment, tmp_path_factory):
     return experiment.run(path, {"scenario.verdicts": False})
 
 
-def error_of(log):
-    return log["identifier.theta"][-1] - THETA
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("step", "sigma", "seeds"),
@@ -138,7 +134,7 @@ def test_estimates_reach_the_bound_for_the_samples_that_are_there(step, sigma, s
     total = 0.0
     for seed in range(seeds):
         log = experiment.run(experiment.written(tmp_path, experiment.measured(seed)))
-        error = error_of(log)
+        error = log["identifier.theta"][-1] - THETA
         total += error @ np.linalg.inv(experiment.covariance) @ error
         deviations = np.sqrt(np.diag(experiment.covariance))
         # that of the noise is known to 1.1 % from 4000 samples; the bound is that at the estimate

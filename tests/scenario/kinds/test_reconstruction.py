@@ -14,7 +14,6 @@ from cosim.scenario.exporting import export_component
 from tests.log.crafting import put_together, take_apart
 from tests.scenario.refusals import check_refused
 
-H = 1e-3
 SHORT = {"scenario.stop": 9.0}
 WINDOW = {"observer.filter": "savitzky-golay", "observer.half_width": 0.1}
 CONSISTENT = {"observer.filter": "consistent"}
