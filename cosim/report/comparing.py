@@ -610,7 +610,7 @@ def _methods(estimators: str | Sequence[str]) -> list[IdentificationMethod]:
     """Return the methods of these names."""
     known: dict[str, IdentificationMethod] = {method: method for method in METHODS}
     names = [estimators] if isinstance(estimators, str) else list(estimators)
-    names = list(known) if names == [ALL] else list(dict.fromkeys(names))
+    names = list(known) if names == [ALL] else names
     place = option("estimators")
     if not names:
         raise UsageError(f"{place}: expected {ALL}, or some of: {tuple(known)}; got none")
@@ -618,6 +618,8 @@ def _methods(estimators: str | Sequence[str]) -> list[IdentificationMethod]:
         if name not in known:
             suggestion = nearest(str(name), [*known, ALL])
             raise UsageError(f"{place}: no method {quoted(name)}; {suggestion}")
+        if names.count(name) > 1:
+            raise UsageError(f"{place}: {name} is given twice")
     return [known[name] for name in names]
 
 

@@ -107,7 +107,7 @@ def test_replay_with_other_parameters_changes_what_depends_on_them(logged):
     name, path, log = logged
     changes = {"observer.filter_rate": 500.0}
     if name in ("compensation", "pair"):  # all that it computes drives the plant
-        text = "'compensator', which drives 'plant'"
+        text = "'compensator', on which 'plant' depends"
         if name == "pair":
             changes = {"controller.gain": 0.4}
             text = "'controller', which drives 'motor'"
@@ -215,9 +215,9 @@ def test_options_of_a_log_are_refused_where_none_is_written(recorded):
 OF_A_RECORDING = {"kind": "recording", "log": "b.mcap", "component": "plant"}
 UNFOLLOWED = {
     "academic": [
-        ({"u.amplitude": 2.0}, r"\['u\.amplitude'\]: .*'u', which drives 'plant'"),
-        ({"components.u.amplitude": 2.0}, "'u', which drives 'plant'"),
-        ({"u": {"kind": "constant", "value": 1.0}}, "'u', which drives 'plant'"),
+        ({"u.amplitude": 2.0}, r"\['u\.amplitude'\]: .*'u', on which 'plant' depends"),
+        ({"components.u.amplitude": 2.0}, "'u', on which 'plant' depends"),
+        ({"u": {"kind": "constant", "value": 1.0}}, "'u', on which 'plant' depends"),
         ({"delta.terms": [{"family": "sine", "theta": 2.0}]}, "'delta', which drives"),
         ({"connections.plant.u": "delta.y"}, "'plant' is taken from the recording"),
         ({"models.academic.Bu": [[0], [3], [1]]}, "'plant' is taken from the recording"),
@@ -227,8 +227,8 @@ UNFOLLOWED = {
         ({"scenario.input_interpolation": "zero-order"}, "may change the inputs of"),
     ],
     "closed-loop": [
-        ({"controller.B": [[5.0]]}, "'controller', which drives 'plant'"),
-        ({"observer.filter_rate": 500.0}, "which drives 'plant'"),
+        ({"controller.B": [[5.0]]}, "'controller', on which 'plant' depends"),
+        ({"observer.filter_rate": 500.0}, "on which 'plant' depends"),
         ({"connections.controller.u": "reference.y"}, "'controller', which drives"),
     ],
 }

@@ -24,14 +24,14 @@ from decimal import Decimal
 from functools import partial
 from itertools import chain, groupby, pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Final, Literal, NamedTuple, TypeAlias, cast
 
 import numpy as np
-from pydantic import AfterValidator, Field, StrictStr, ValidationError
+from pydantic import AfterValidator, Field, PlainValidator, StrictStr, ValidationError
 
 from cosim.arrays import NAN, Matrix, Vector
 from cosim.blocks.field_data import FieldData, FieldSignal, elements_named
-from cosim.errors import UsageError, option, warn
+from cosim.errors import UsageError, option, quoted, warn
 from cosim.files import expanded
 from cosim.instants import NANOSECONDS
 from cosim.scenario.data_files.table import (
@@ -49,7 +49,6 @@ from cosim.scenario.data_files.table import (
 from cosim.scenario.data_files.tables import read_table
 from cosim.scenario.document.document import plain
 from cosim.scenario.document.problems import TableProblems, problems_of
-from cosim.scenario.document.schema import Number, Whole
 from cosim.units import base_unit, unknown_unit
 
 if TYPE_CHECKING:
@@ -69,7 +68,15 @@ def _time_unit(name: str) -> str:
     return name
 
 
+def _offset(value: object) -> object:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if value != "first" and not (is_number and math.isfinite(cast(float, value))):
+        raise ValueError(f'expected a finite number or "first", got {quoted(value)}')
+    return value
+
+
 TimeUnit: TypeAlias = Annotated[str, AfterValidator(_time_unit)]
+Offset: TypeAlias = Annotated[int | float | Literal["first"], PlainValidator(_offset)]
 
 
 class FieldForm(TableForm):
@@ -90,7 +97,7 @@ class FieldForm(TableForm):
     time_unit: TimeUnit | None = Field(
         None, description="unit of the times; default: from the column name, as in t [ms], or s"
     )
-    offset: Whole | Number | Literal["first"] | None = Field(
+    offset: Offset | None = Field(
         None,
         description="time stamp of t = 0, in the unit of the file (dates: ns since 1970), an "
         'integer exactly, or "first"; default: 0; MCAP: '
@@ -103,7 +110,7 @@ class FieldForm(TableForm):
         '{ y = "/drive/state.position", u = ["/cmd.a", "/cmd.b[3]"] }; default: those in the '
         "map of the swap",
     )
-    missing: tuple[Number | StrictStr, ...] = Field(
+    missing: tuple[Annotated[float, Field(strict=True)] | StrictStr, ...] = Field(
         (),
         description="what stands for no measured value, beside empty cells and NaN, as in "
         '[-9999, "NA"]',

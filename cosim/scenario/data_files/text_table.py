@@ -214,7 +214,8 @@ class TextTable(DataTable):
         super().__init__(path)
         self._sheet = sheet = read_sheet(path, form)
         self._gaps = {"", *(code for code in missing if isinstance(code, str))}
-        if sheet.separator is not None:
+        has_blanks = any(" " in cell.strip() for row in sheet.rows[-1:] for cell in row.cells)
+        if sheet.separator not in (None, " ") and has_blanks:
             self.hint = f' (separated by {sheet.separator!r}; separator = " " splits at blanks)'
         width = self._trimmed_width()
         found: set[int] = set()

@@ -1,9 +1,9 @@
 """The text of a scenario, and the edits made to it from outside.
 
 An edit sets a value at a dotted key. ``components.NAME.PARAMETER`` always is a component's.
-``NAME.PARAMETER`` is the same, unless NAME is that of a table of the file, which no component may
-have: then it is in that table. ``terms[0].theta`` is in the first entry of a list, ``A[0][1]`` in a
-row of a matrix. A swap is an edit, too: of the whole table of a component, before all others.
+``NAME.PARAMETER`` is the same, unless NAME is that of a table of the file: then it is in that
+table. ``terms[0].theta`` is in the first entry of a list, ``A[0][1]`` in a row of a matrix. A swap
+is an edit, too: of the whole table of a component, before all others.
 """
 
 from __future__ import annotations
@@ -72,8 +72,8 @@ def parts_of(key: str) -> list[str]:
 def short(key: str) -> str:
     """Return the form of a dotted key that is the same however it was written.
 
-    That of a component is without ``components.``. An action is ``actions.0``, also where it was
-    written ``actions[0]``.
+    That of a component is without ``components.``, unless its name is that of a table. An action is
+    ``actions.0``, also where it was written ``actions[0]``.
     """
     first, dot, rest = key.partition(".")
     if first == COMPONENTS and rest.partition(".")[0] not in RESERVED:

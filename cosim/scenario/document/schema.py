@@ -137,17 +137,8 @@ Name = Annotated[str, AfterValidator(_check_name)]
 
 ACTIONS: Final = "actions"  # a list of tables
 COMPONENTS: Final = "components"
-# names that a short key of an edit could not tell from those of tables
+# what a short key of an edit begins with is one of these tables, or else a component
 RESERVED: Final = ("scenario", "models", *PORTS, ACTIONS, "record", "swap", COMPONENTS)
-
-
-def _check_reserved(name: str) -> str:
-    if name in RESERVED:
-        raise ValueError(f"expected another name than that of a table of the file, got {name!r}")
-    return name
-
-
-ComponentName = Annotated[Name, AfterValidator(_check_reserved)]
 
 
 class TomlTable(BaseModel):
@@ -419,7 +410,7 @@ class File(TomlTable):
 
     scenario: Settings = Field(description="the table [scenario] with name, stop and step")
     models: dict[str, ModelTable] = {}
-    components: dict[ComponentName, dict[str, Any]] = Field(
+    components: dict[Name, dict[str, Any]] = Field(
         description="a table [components.NAME] for each, with its kind"
     )
     connections: dict[str, str | list[str] | ConnectionTable] = {}

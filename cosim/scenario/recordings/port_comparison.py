@@ -295,7 +295,7 @@ def _whole_rows(
         aspect = "interface type" if key == "kind" and of_fmus else key
         yield _equal(row, aspect, old, new, "unknown" if None in (old, new) else "differs")
     old, new = (None if one.system is None else _pole_pairs(one.system) for one in (before, after))
-    yield row("poles", old, new, _same_values(old, new, error))
+    yield row("poles", old, new, _same_values(old, new, error, least=_ROUNDING))
 
 
 def _pole_pairs(system: LinearSystem) -> list[list[float]]:

@@ -248,6 +248,8 @@ class _PartSearch:
         for other in sorted(loop) if copied else ():
             is_whole = self._partial.is_whole(other, self._run.channels)
             if not is_whole or (other in copied and not self._has_all_inputs(other)):
+                if other in copied:
+                    return f"it is in a loop with {other!r}, which is not recorded completely"
                 return (
                     f"it is in a loop with {min(copied)!r}, which is copied, and {other!r} is not "
                     "recorded completely"

@@ -392,7 +392,7 @@ class RebuiltRun:
         for name in part.copied:
             text = ""
             if not changed.isdisjoint(behind[name]):
-                text = f"this changes {min(changed & behind[name])!r}, which drives {name!r}"
+                text = f"this changes {min(changed & behind[name])!r}, on which {name!r} depends"
             elif behind[name] and not tables.isdisjoint(_OF_ALL_INPUTS):
                 text = f"this may change the inputs of {name!r}"
             if text:

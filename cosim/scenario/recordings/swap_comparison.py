@@ -263,7 +263,6 @@ def _report(
     named: list[Port] = []
     refused: list[Port] = []
     unconverted: list[Port] = []
-    wrong = {key[:2] for key, _ in builder.problems}
     with_unit = set()
     for other, component in builder.components.items():
         signals = component.interface.signals
@@ -272,8 +271,6 @@ def _report(
     for to, connection in scenario.connections.items():
         ports = [to, *connection.sources]
         named += ports
-        if ("connections", str(to)) in wrong:
-            refused += ports
         undeclared = [port for port in ports if with_unit.isdisjoint({str(port), str(port.whole)})]
         if to in undeclared:
             unconverted += connection.sources
@@ -282,8 +279,16 @@ def _report(
     for estimate, truth in scenario.file.truth.items():
         ports = ports_in([estimate, *named_ports(truth)])
         named += ports
-        if ("truth", estimate) in wrong:
-            refused += ports
+    truths = scenario.file.truth
+    for (table, *entry), _ in builder.problems:
+        if table == "connections":
+            for to in ports_in(entry):
+                refused += [
+                    to,
+                    *(scenario.connections[to].sources if to in scenario.connections else ()),
+                ]
+        elif table == "truth" and entry:
+            refused += ports_in([str(entry[-1]), *named_ports(truths.get(str(entry[-1])))])
     connected = _names_of(named, name)
     rows = compare(
         before,

@@ -93,9 +93,11 @@ class Replays:
             :func:`cosim.scenario.recordings.recording.check_target`.
         """
         if out is not None and isinstance(self.source, Log):
-            files = [self.source.path, *all_parts(self.source.path)]
-            if os.path.realpath(log_path(out)) in map(os.path.realpath, files):
-                raise UsageError(f"{out} is the log being replayed; choose another path")
+            target = os.path.realpath(log_path(out))
+            for file in (self.source.path, *all_parts(self.source.path)):
+                if target == os.path.realpath(file):
+                    what = "the log" if file == self.source.path else "a file of the log"
+                    raise UsageError(f"{out} is {what} being replayed; choose another path")
         check_target(out, force=force)
 
     def record(

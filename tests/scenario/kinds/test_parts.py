@@ -1,108 +1,16 @@
-"""Product, switch, integrator, transfer function, PID, discrete-time systems, and sensors."""
+"""Switches, sensors and look-up tables: what they do, say and refuse."""
 
 import re
 
 import numpy as np
 import pytest
-from fmpy.validation import validate_fmu
 
 import cosim
 from cosim.errors import ScenarioError
-from cosim.fmi.reading.model_description import read
 from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import Document
 from cosim.scenario.exporting import export_component
 from tests.scenario.refusals import check_refused
-
-PARTS = """
-scenario = { name = "parts", stop = 0.5, step = 1e-3 }
-[components]
-wave = { kind = "expression", y = ["sin(17*t)", "cos(9*t) + 1.3"] }
-pulse = { kind = "expression", y = "step(t - 0.1) - step(t - 0.4)", discrete = true }
-product = { kind = "product", operations = "*/", unit = "N" }
-switch = { kind = "switch", size = 2 }
-integrator = { kind = "integrator", initial = 0.01 }
-limited = { kind = "integrator", initial = 0.01, upper = 0.05 }
-filter = { kind = "transfer-function", numerator = [1.0, 300.0], denominator = [1.0, 50.0, 1e4] }
-[components.pid]
-kind = "pid"
-gain = 2.0
-integral_time = 0.05
-derivative_time = 0.01
-lower = -1.0
-upper = 2.0
-[components.digital]
-kind = "pid"
-gain = 2.0
-integral_time = 0.05
-derivative_time = 0.02
-derivative_setpoint_weight = 0.1
-lower = -1.0
-upper = 2.0
-period = 0.01
-[components.discrete]
-kind = "discrete-state-space"
-period = 0.004
-A = [[0.9, 0.1], [0.0, 0.8]]
-B = [[0.0], [1.0]]
-C = [[1.0, 0.0]]
-D = [[0.5]]
-x0 = [1.0, 0.0]
-[connections]
-"product.u1" = "wave.y[0]"
-"product.u2" = "wave.y[1]"
-"switch.u1" = "wave.y"
-"switch.u2" = ["integrator.y", "limited.y"]
-"switch.control" = "pulse.y"
-"integrator.u" = "wave.y[0]"
-"limited.u" = "wave.y[0]"
-"filter.u" = "wave.y[0]"
-"pid.setpoint" = "wave.y[0]"
-"pid.measurement" = "filter.y"
-"digital.setpoint" = "wave.y[0]"
-"digital.measurement" = "filter.y"
-"discrete.u" = "wave.y[1]"
-"""
-
-
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("parts")
-    path = folder / "parts.toml"
-    path.write_text(PARTS, encoding="utf-8")
-    return path, cosim.run(path, out=folder / "parts.mcap")
-
-
-def test_a_log_of_them_replays_bit_for_bit(recorded):
-    """All that can be computed again is, with blocks of one size or another."""
-    path, log = recorded
-    assert cosim.diff(log, cosim.replay(log)).equal
-    single = cosim.run(path, block=1)
-    assert cosim.diff(log, single).equal
-
-
-@pytest.mark.slow
-def test_as_fmus_they_are_the_same(recorded, tmp_path):
-    """A run with FMUs in their places records what the run recorded.
-
-    The inputs at the end of a step are u0 + h (u1 - u0)/h there, which is u1 but for its rounding,
-    and 500 of these add up.
-    """
-    names = ("switch", "limited", "filter", "discrete")
-    path, expected = recorded
-    swaps = {name: tmp_path / f"{name}.fmu" for name in names}
-    for name, fmu in swaps.items():
-        export_component(str(path), name, fmu, fmi="3")
-        assert validate_fmu(str(fmu)) == []
-        is_linear = name == "filter"
-        assert ("me" in read(fmu).description.capabilities) == is_linear
-    settings = {f"{name}.interface_type": "cs" for name in names}
-    run = cosim.run(path, swap=swaps, set=settings)
-    for name in names:
-        known = expected[f"{name}.y"]
-        difference = abs(run[f"{name}.y"][:: 4 if name == "discrete" else 1] - known)
-        assert difference.max() <= 1e-13 * abs(known).max(), name
-
 
 SWITCH = """
 scenario = { name = "switching", stop = 1.0, step = 0.25 }
@@ -207,14 +115,6 @@ def measured(**errors):
     )
 
 
-def test_a_sensor_without_errors_changes_nothing_behind_it():
-    """The observer has the same bits as on the plant's own output: y is no zero-order hold."""
-    run = cosim.run(measured())
-    direct = cosim.run(PLANT)
-    for name in ("observer.delta", "observer.x_a"):
-        np.testing.assert_array_equal(run[name], direct[name])
-
-
 def test_noise_needs_no_warning_and_is_changed_by_its_seed_alone(tmp_path):
     """Its samples are joined by lines; in a replay with another seed the plant is as it was."""
     log = cosim.run(measured(noise=1e-3, seed=1), out=tmp_path / "noisy.mcap")
@@ -242,9 +142,6 @@ def test_times_are_seconds_and_the_log_keeps_the_samples_of_a_period():
     # outputs of a few ones, rounded
     middle = (y[:-3] + y[1:-2]) / 2.0
     np.testing.assert_allclose(run["sensor.y"][3:], middle, rtol=1e-15, atol=1e-15)
-    run = cosim.run(measured(period=0.1))
-    np.testing.assert_array_equal(run.time("sensor.y"), np.arange(21) / 10.0)
-    np.testing.assert_array_equal(run["sensor.y"], run["plant.y"][::100])
 
 
 WRONG_VALUES = [
@@ -257,9 +154,81 @@ WRONG_VALUES = [
 
 
 def test_a_wrong_value_is_one_problem_of_the_component():
-    def refuse(errors):
-        cosim.run(measured(**errors))
-
     place = r"\Aset\['sensor'\]"
     cases = [(errors, rf"{place}[^\n]*{text}[^\n]*\Z") for errors, text in WRONG_VALUES]
-    check_refused(cases, refuse, ScenarioError)
+    check_refused(cases, lambda errors: cosim.run(measured(**errors)), ScenarioError)
+
+
+# --- look-up tables ---
+
+
+def run(folder, table, inputs=("u",), **more):
+    """Run a look-up table on ramps: u, u1 are t, u2 is 2 t."""
+    sources = {"u": "once.y", "u1": "once.y", "u2": "twice.y"}
+    connections = [f'"f.{name}" = "{sources[name]}"' for name in inputs]
+    head = 'scenario = { name = "f", stop = 1.0, step = 0.25 }'
+    once, twice = (f'{{ kind = "ramp", slope = {slope} }}' for slope in (1.0, 2.0))
+    own = f'[components.f]\nkind = "look-up-table"\n{table}'
+    parts = f"[components]\nonce = {once}\ntwice = {twice}\n{own}"
+    text = "\n".join([head, parts, "[connections]", *connections])
+    return cosim.run(parse(Document(text, "f", folder)), **more)
+
+
+BOTH = ("u1", "u2")
+SHORT = "u = [0.25, 0.5]\ny = [0.0, 1.0]\n"
+PRODUCT = "u1 = [0.0, 1.0]\nu2 = [0.0, 2.0]\ny = [[0.0, 0.0], [0.0, 2.0]]"
+
+
+@pytest.mark.parametrize(
+    ("table", "inputs", "y"),
+    [
+        ("u = [0.0, 0.5, 1.0]\ny = [0.0, 1.0, 0.0]", ("u",), [0.0, 0.5, 1.0, 0.5, 0.0]),
+        (f'{SHORT}extrapolation = "hold"', ("u",), [0.0, 0.0, 1.0, 1.0, 1.0]),
+        (f'{SHORT}extrapolation = "linear"', ("u",), [-1.0, 0.0, 1.0, 2.0, 3.0]),
+        (PRODUCT, BOTH, [0.0, 0.125, 0.5, 1.125, 2.0]),
+        ('file = "f.csv"\ncolumns = ["a", "c"]', ("u",), [1.0, 1.5, 2.0, 2.5, 3.0]),
+        ('file = "g.csv"', BOTH, [0.0, 0.125, 0.5, 1.125, 2.0]),
+    ],
+)
+def test_a_function_by_its_values(tmp_path, table, inputs, y):
+    """Arrays, or a file with a row for each point, in any order."""
+    (tmp_path / "f.csv").write_text("a,b,c\n0,9,1\n1,9,3\n")
+    (tmp_path / "g.csv").write_text("u1,u2,y\n1,2,2\n0,2,0\n0,0,0\n1,0,0\n")
+    log = run(tmp_path, table, inputs, out=tmp_path / "f.mcap")
+    assert log["f.y"].tolist() == y
+    assert cosim.diff(log, cosim.replay(log)).equal
+
+
+def test_a_file_says_the_units_of_its_columns(tmp_path):
+    """Of u and y, so that connections convert to and from them: 0 to 1 s are 0 to 1000 ms."""
+    (tmp_path / "f.csv").write_text("u [ms],y [kN]\n0,1\n1000,3\n")
+    log = run(tmp_path, 'file = "f.csv"', set={"components.once.unit": "s"})
+    assert [log.signals[name].unit for name in ("f.u", "f.y")] == ["ms", "kN"]
+    assert log["f.y"].tolist() == [1.0, 1.5, 2.0, 2.5, 3.0]
+    with pytest.raises(ScenarioError, match=r"unit of 'y': got 'N'.*declares 'kN'"):
+        run(tmp_path, 'file = "f.csv"\nunit = "N"')
+
+
+NO_FUNCTIONS = [
+    ("u = [0.0, 1.0]", "or file, got u"),
+    ("u1 = [0.0, 1.0]\ny = [0.0, 1.0]", "or file, got u1, y"),
+    ("", "or file, got nothing"),
+    ("u = [0.0, 1.0]\ny = [[0.0, 1.0]]", "y: expected one number per entry of u"),
+    ("u1 = [0.0, 1.0]\nu2 = [0.0, 1.0]\ny = [0.0, 1.0]", "y: expected one number per entry"),
+    ('file = "f.csv"\ny = [0.0]', "expected either file or arrays, got both"),
+    ('file = "f.csv"\ncolumns = ["a"]', "one or two columns of inputs and one of y, got 1"),
+    ('file = "f.csv"\ncolumns = ["a", "d"]', "no column 'd'; available: a, b, c"),
+    ('file = "f.csv"', r"each pair of 2 x 2 .*4 rows.*got 3 rows"),
+    ('file = "g.csv"', r"each pair of 2 x 2 .*4 rows.*got 4 rows"),
+]
+
+
+def test_a_table_without_a_function_is_refused(tmp_path):
+    """With what was expected and what was found."""
+
+    def refuse(table):
+        (tmp_path / "f.csv").write_text("a,b,c\n0,0,1\n1,0,3\n1,1,3\n")
+        (tmp_path / "g.csv").write_text("a,b,c\n0,0,1\n1,0,3\n1,1,3\n1,1,4\n")
+        run(tmp_path, table)
+
+    check_refused(NO_FUNCTIONS, refuse, ScenarioError)

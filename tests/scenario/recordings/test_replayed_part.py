@@ -425,9 +425,7 @@ def test_a_loop_is_computed_as_a_whole_or_beside_members_recorded_whole(loop):
     again = cosim.replay(loop(["plant.*", "pid.*", "setpoint.y"]), set=ALL, components=["pid"])
     assert set(again.channels) == {"setpoint", "pid", "plant"}
     check_bits(again, whole)
-    with pytest.raises(
-        LogError, match=r"pid: it is in a loop with .*, and 'plant' is not recorded"
-    ):
+    with pytest.raises(LogError, match=r"pid: it is in a loop with 'plant', which is not recorded"):
         cosim.replay(loop(["plant.y", "pid.*", "setpoint.y"]), components=["pid"])
     with pytest.raises(LogError, match=r"with 'plant', which is copied, and 'pid' is not"):
         cosim.replay(loop(["plant.*", "pid.y", "setpoint.y"]), components=["pid"])

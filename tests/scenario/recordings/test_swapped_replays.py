@@ -78,8 +78,8 @@ def test_ports_have_the_names_of_a_map(folder):
 def test_a_swap_that_the_recording_cannot_follow_is_refused(folder):
     """The plant's rows belong to the source that it had."""
     message = (
-        r"swap\['u'\]: this changes 'u', which drives 'plant'; 'plant' is taken from the recording "
-        "and cannot follow: run the scenario"
+        r"swap\['u'\]: this changes 'u', on which 'plant' depends; 'plant' is taken from the "
+        "recording and cannot follow: run the scenario"
     )
     with pytest.raises(UsageError, match=message):
         cosim.replay(folder / "f.mcap", swap={"u": folder / "f.mcap"})
