@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from cosim.log.comparison.diff import diff
     from cosim.log.reading.reader import open_log
     from cosim.report.certificate import certificate
-    from cosim.report.comparing import compare, compare_estimators, replay_sweep
+    from cosim.report.comparing import compare, compare_estimators
     from cosim.scenario.assumptions.report import check_assumptions
     from cosim.scenario.data_files.field_file import read_field_data
     from cosim.scenario.experiment_design.ranking import design
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from cosim.studies.metrics import metrics
     from cosim.studies.study import open_study
     from cosim.studies.studying import study
+    from cosim.studies.sweeping import replay_sweep
     from cosim.studies.tuning import tune
 
 _HOMES = {
@@ -46,7 +47,7 @@ _HOMES = {
     "open_log": "cosim.log.reading.reader",
     "open_study": "cosim.studies.study",
     "read_field_data": "cosim.scenario.data_files.field_file",
-    "replay_sweep": "cosim.report.comparing",
+    "replay_sweep": "cosim.studies.sweeping",
     "replay": "cosim.scenario.running.replay",
     "run": "cosim.scenario.running.execution",
     "study": "cosim.studies.studying",

@@ -16,7 +16,7 @@ from cosim.errors import CosimError
 from cosim.files import FileType, expanded, file_type
 
 if TYPE_CHECKING:
-    from cosim.scenario.building.parsing import Scenario
+    from cosim.scenario.kinds.base import Scenario
 
 _READABLE: Final[tuple[FileType, ...]] = ("FMU", "log", "table")
 FAILURES: Final = ("inconsistent", "no-estimate", "warning")  # that --fail-on takes
@@ -120,8 +120,7 @@ def _scenario(context: typer.Context) -> Scenario | None:
 
     Nothing of it is built, as that may run code of its user.
     """
-    from cosim.scenario.building.build import parse
-    from cosim.scenario.building.parsing import read
+    from cosim.scenario.building.build import read
     from cosim.scenario.document.document import find
 
     # an option that still lacks its value leaves the arguments before it unread
@@ -129,8 +128,8 @@ def _scenario(context: typer.Context) -> Scenario | None:
     for name in candidates:
         if isinstance(name, str):
             with suppress(CosimError, OSError):
-                scenario, problems = read(find(name), parse)
-                return None if problems else scenario
+                scenario = read(find(name))
+                return None if scenario.problems else scenario
     return None
 
 

@@ -16,7 +16,7 @@ from cosim.core.arguments import kind_of
 from cosim.core.contracts import Stopped
 from cosim.core.stepping.step_rows import StepRows
 from cosim.errors import UsageError
-from cosim.scenario.building.parsing import Scenario
+from cosim.scenario.kinds.base import Scenario
 from cosim.scenario.running.execution import load
 from cosim.scenario.session import Session
 

@@ -176,7 +176,7 @@ def frozen_heap() -> None:
 @pytest.fixture
 def without_verdicts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out the verdicts of all runs, as ``scenario.verdicts = false`` does of one."""
-    from cosim.scenario.kinds.identified_plant import Assessor
+    from cosim.scenario.recordings.verdicts import Assessor
 
     monkeypatch.setattr(Assessor, "results", lambda assessor: {})
 
@@ -197,9 +197,9 @@ def verdicts_once(request: pytest.FixtureRequest) -> Iterator[None]:
     if request.path.relative_to(HERE).parts[0] not in OF_EQUAL_RUNS:
         yield
         return
-    from cosim.scenario.kinds import identified_plant
+    from cosim.scenario.recordings import verdicts
 
-    assess = identified_plant.assess
+    assess = verdicts.assess
 
     def assess_once(problem: Any, start: Any) -> Any:
         given = pickle.dumps((problem, start))
@@ -208,7 +208,7 @@ def verdicts_once(request: pytest.FixtureRequest) -> Iterator[None]:
         return ASSESSED[given]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(identified_plant, "assess", assess_once)
+        patch.setattr(verdicts, "assess", assess_once)
         yield
 
 

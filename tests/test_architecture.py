@@ -162,6 +162,7 @@ ROOMS = {
         "study",
         "layout",
         "design",
+        "sweeping",
         "statistics",
         "sensitivity",
         "checking",

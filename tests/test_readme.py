@@ -9,7 +9,7 @@ import pytest
 import cosim
 from cosim.errors import LogError
 from cosim.log.foreign.topics import is_foreign
-from cosim.scenario.recordings.recorded_scenario import check_whole
+from cosim.scenario.recordings.recorded_scenario import check_rows
 from tests import pages
 from tests.log.recordings import layout, record
 
@@ -46,7 +46,7 @@ def is_replayed(path):
         return False
     log = cosim.open_log(path)
     try:
-        check_whole(log)
+        check_rows(log)
     except LogError:
         return False
     return "cosim.run" in log.metadata

@@ -10,8 +10,9 @@ name, so that every output stays visible; where that name is taken, ``_`` is app
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import count, pairwise
 
 from cosim.blocks.port_map import PortElement, PortMap, ShownPort, names_of
 from cosim.core.port import Port
@@ -47,7 +48,7 @@ def map_ports(
     Raises
     ------
     GraphError
-        With every problem of the renamings.
+        With the first problem of every port.
     """
     ports, problems = resolve(interface, renamings, replaced)
     if problems:
@@ -75,29 +76,25 @@ def resolve(
     -------
     PortMap
     dict of Port to str
-        Problems, by the port of a renaming.
+        The first problem of each shown port, by the port of a renaming.
     """
-    resolver = _Resolver(interface, replaced)
-    for port, parts in _by_port(renamings, replaced).items():
-        resolver.show(port, parts)
-    resolver.check_inputs()
-    return resolver.port_map(), resolver.problems
+    resolver = _Resolver(interface, Interface() if replaced is None else replaced)
+    return resolver.port_map(renamings), resolver.problems
 
 
-def _by_port(
-    renamings: Iterable[Renaming], replaced: Interface | None
-) -> dict[Port, list[Renaming]]:
-    """Return the renamings of every port: of all of it, or of its elements in rising order."""
-    # a port whose own name looks like that of an element, such as x[1], is no part of another
-    names = {} if replaced is None else replaced.by_name
-    by_port: dict[Port, list[Renaming]] = {}
-    for renaming in renamings:
-        port = renaming.port
-        whole = port if port.name in names else port.whole
-        by_port.setdefault(whole, []).append(renaming)
-    for parts in by_port.values():
-        parts.sort(key=lambda part: _positions(part.port).start)
-    return by_port
+class _WrongRenaming(GraphError):
+    """A renaming cannot be followed.
+
+    Parameters
+    ----------
+    port : Port
+        Of the renaming.
+    text : str
+    """
+
+    def __init__(self, port: Port, text: str) -> None:
+        super().__init__(text)
+        self.port = port
 
 
 def _positions(port: Port) -> range:
@@ -114,93 +111,124 @@ def _positions(port: Port) -> range:
 class _Resolver:
     """The shown ports, and the problems of renamings, both by port."""
 
-    def __init__(self, interface: Interface, replaced: Interface | None) -> None:
+    def __init__(self, interface: Interface, replaced: Interface) -> None:
         self.problems: dict[Port, str] = {}
         self._interface = interface
-        self._replaced: Mapping[str, Signal] = {}
-        self._replaced_causalities: dict[str, Causality] = {}
-        if replaced is not None:
-            self._replaced = replaced.by_name
-            self._replaced_causalities |= {signal.name: "input" for signal in replaced.inputs}
-            self._replaced_causalities |= {signal.name: "output" for signal in replaced.outputs}
+        self._replaced = replaced
         inputs = _elements(interface.inputs, "input")
         outputs = _elements(interface.outputs, "output")
         self._elements = {**inputs, **outputs}
         self._shown: dict[Port, ShownPort] = {}
 
-    def show(self, port: Port, parts: Sequence[Renaming]) -> None:
-        """Show elements of the component as a port, which is given as a whole or in parts."""
-        problems = self._check_parts(port, parts)
-        if problems:
-            self.problems |= problems
-            return
+    def port_map(self, renamings: Iterable[Renaming]) -> PortMap:
+        """Return the map: the shown ports, and those of the component that none of them covers."""
+        by_port: dict[Port, list[Renaming]] = {}
+        for renaming in renamings:
+            # a port whose own name looks like that of an element, such as x[1], is no part
+            port = renaming.port
+            whole = port if port.name in self._replaced.by_name else port.whole
+            by_port.setdefault(whole, []).append(renaming)
+        for whole, parts in by_port.items():
+            parts.sort(key=lambda part: (_positions(part.port).start, _positions(part.port).stop))
+            try:
+                self._show(whole, parts)
+            except _WrongRenaming as error:
+                self.problems[error.port] = str(error)
+        self._check_inputs()
+        ports = [*self._shown.values(), *self._uncovered()]
+        ports.sort(key=lambda port: port.elements[0].column)
+        inputs = tuple(port for port in ports if port.causality == "input")
+        outputs = tuple(port for port in ports if port.causality == "output")
+        return PortMap(self._interface, inputs, outputs)
+
+    def _show(self, port: Port, parts: Sequence[Renaming]) -> None:
+        """Show elements of the component as a port, which is given as a whole or in parts.
+
+        Raises
+        ------
+        _WrongRenaming
+            If the parts do not make the port, or no such elements a signal.
+        """
+        if parts[0].port != port or len(parts) > 1:
+            self._check_parts(port, parts)
         positions: list[int] = []
         for part in parts:
             positions += _positions(part.port)
-        if positions == list(range(len(positions))):
-            self._show(port, parts)
-        else:  # elements of a port of unknown size: each is a signal of its name
-            for part in parts:
-                self._show(part.port, [part])
-
-    def _check_parts(self, port: Port, parts: Sequence[Renaming]) -> dict[Port, str]:
-        """Return why parts do not make a port, by part: they overlap, or some are missing."""
-        if parts[0].port == port and len(parts) == 1:
-            return {}
-        problems: dict[Port, str] = {}
-        covered: dict[int, Renaming] = {}
-        whole = [part for part in parts if part.port == port]
-        for part in parts:
-            overlapped = [covered[i] for i in _positions(part.port) if i in covered]
-            if part.port != port:
-                overlapped += whole
-            if overlapped:
-                first = _given(overlapped[0])
-                problems[part.port] = (
-                    f"{_given(part)} overlaps {first}; expected '{port}' as a whole, or each of "
-                    "its elements once"
-                )
-            covered |= dict.fromkeys(_positions(part.port), part)
-        replaced = self._replaced.get(port.signal)
-        if problems or replaced is None:
-            return problems
-        return _check_complete(parts, covered, replaced)
-
-    def _show(self, port: Port, parts: Sequence[Renaming]) -> None:
-        elements: list[PortElement] = []
-        failed = False
-        for part in parts:
-            try:
+        groups = [(port, parts)]
+        if positions != list(range(len(positions))):
+            # elements of a port of unknown size: each is a signal of its name
+            groups = [(part.port, [part]) for part in parts]
+        for shown, own in groups:
+            elements: list[PortElement] = []
+            for part in own:
                 elements += self._part(part)
+            try:
+                _check_alike(shown, elements)
+                signal = _shown_signal(shown.name, elements, self._units(shown, elements))
             except GraphError as error:
-                self.problems[part.port] = str(error)
-                failed = True
-        if failed:
+                raise _WrongRenaming(shown, str(error)) from error
+            self._shown[shown] = ShownPort(signal, tuple(elements))
+
+    def _check_parts(self, port: Port, parts: Sequence[Renaming]) -> None:
+        """Check that parts, in rising order, neither overlap nor leave out an element.
+
+        Raises
+        ------
+        _WrongRenaming
+            If they do.
+        """
+        for first, part in pairwise(parts):
+            if first.port == port or _positions(part.port).start < _positions(first.port).stop:
+                raise _WrongRenaming(
+                    part.port,
+                    f"{_given(part)} overlaps {_given(first)}; expected '{port}' as a whole, or "
+                    "each of its elements once",
+                )
+        replaced = self._replaced.by_name.get(port.signal)
+        if replaced is None:
             return
-        try:
-            _check_alike(port, elements)
-            units = self._units(port, elements)
-        except GraphError as error:
-            self.problems[port] = str(error)
-            return
-        signal = _shown_signal(port.name, elements, units)
-        self._shown[port] = ShownPort(signal, tuple(elements))
+        size = replaced.size
+        has = "1 element" if size == 1 else f"{size} elements"
+        covered: set[int] = set()
+        for part in parts:
+            covered.update(_positions(part.port))
+            if _positions(part.port).stop > size:
+                raise _WrongRenaming(
+                    part.port, f"{_given(part)}: '{port}' has {has}, numbered from 0"
+                )
+        missing = [str(replace(port, element=i)) for i in range(size) if i not in covered]
+        if missing:
+            names = ", ".join(["NAME"] * size)
+            raise _WrongRenaming(
+                parts[0].port,
+                f"{_given(parts[0])} is a part of '{port}', which has {has}; expected entries "
+                f"for the rest too: {', '.join(missing)}, or one for the whole: {port}=[{names}]",
+            )
 
     def _part(self, part: Renaming) -> list[PortElement]:
         """Return the elements of the component that a renaming names.
 
         Raises
         ------
-        GraphError
+        _WrongRenaming
             If one of them is not there, or their number is not that of the part.
         """
         port = part.port
-        causalities = self._replaced_causalities
-        of_replaced = causalities.get(port.name) or causalities.get(port.signal)
+        causality = part.causality
+        for name in (port.signal, port.name):
+            if part.causality is None and name in self._replaced.by_name:
+                causality = "input" if name in self._replaced.input_names else "output"
         elements: list[PortElement] = []
-        for source in part.sources:
-            elements += self._find(source, part.causality or of_replaced)
-        _check_size(part.port, elements)
+        try:
+            for source in part.sources:
+                elements += self._find(source, causality)
+        except GraphError as error:
+            raise _WrongRenaming(port, str(error)) from error
+        needed = len(_positions(port))
+        if needed not in (0, len(elements)):
+            names = ", ".join(names_of(elements))
+            text = f"'{port}': expected size {needed}, got {len(elements)}: {names}"
+            raise _WrongRenaming(port, text)
         return elements
 
     def _find(self, source: Port, causality: Causality | None) -> list[PortElement]:
@@ -258,7 +286,7 @@ class _Resolver:
                 f"{_way_out(port, elements)}"
             )
         shown = (own[0],) * len(own)
-        replaced = self._replaced.get(port.signal)
+        replaced = self._replaced.by_name.get(port.signal)
         if replaced is not None and replaced.unit is not None:
             shown = replaced.measures
             if not isinstance(replaced.unit, tuple):
@@ -269,46 +297,41 @@ class _Resolver:
         is_shown = all(comparable(*pair) and conversion(*pair) is not None for pair in pairs)
         return shown if is_shown else own
 
-    def check_inputs(self) -> None:
+    def _check_inputs(self) -> None:
         """Check that the component's input elements are shown once, all of an input or none."""
         driven: dict[int, Port] = {}
-        shown_ports = self._shown.items()
-        inputs = {port: shown for port, shown in shown_ports if shown.causality == "input"}
+        inputs = {port: own for port, own in self._shown.items() if own.causality == "input"}
         for port, shown in inputs.items():
             for element in shown.elements:
-                column = element.column
-                if column in driven:
-                    first = driven[column]
+                first = driven.get(element.column)
+                if first is not None:
                     name = f"{port.component}.{element.name}"
                     self._drop(port, f"{name!r} is given twice, for '{first}' and '{port}'")
-                driven[column] = port
+                driven[element.column] = port
         missing: dict[str, list[str]] = {}
         for port, shown in inputs.items():
             for name in shown.sources:
                 if name not in missing:
                     elements = self._elements[name]
-                    undriven = [part.name for part in elements if part.column not in driven]
-                    missing[name] = undriven
+                    missing[name] = [one.name for one in elements if one.column not in driven]
                 if missing[name]:
-                    listed = ", ".join(missing[name])
                     self._drop(
                         port,
                         f"'{port}' is a part of the input {name!r}; expected ports for the rest "
-                        f"too: {listed}",
+                        f"too: {', '.join(missing[name])}",
                     )
 
     def _drop(self, port: Port, problem: str) -> None:
         self.problems.setdefault(port, problem)
         self._shown.pop(port, None)
 
-    def port_map(self) -> PortMap:
-        """Return the map: the shown ports, and those of the component that none of them covers."""
-        ports = list(self._shown.values())
-        taken = {port.signal.name for port in ports}
+    def _uncovered(self) -> Iterator[ShownPort]:
+        """Yield the ports of the component that none covers, under names that are not taken."""
+        taken = {port.signal.name for port in self._shown.values()}
         # an element that is a signal beside its vector would be found in the vector's place
         taken |= {port.signal for port in self._shown}
         covered: set[PortElement] = set()
-        for port in ports:
+        for port in self._shown.values():
             covered.update(port.elements)
         for own_name, elements in self._elements.items():
             if not covered.issuperset(elements):
@@ -316,112 +339,47 @@ class _Resolver:
                 while name in taken:
                     name += "_"
                 taken.add(name)
-                signal = replace(elements[0].signal, name=name)
-                port = ShownPort(signal, tuple(elements))
-                ports.append(port)
-        ports.sort(key=lambda port: port.elements[0].column)
-        inputs = tuple(port for port in ports if port.causality == "input")
-        outputs = tuple(port for port in ports if port.causality == "output")
-        return PortMap(self._interface, inputs, outputs)
+                yield ShownPort(replace(elements[0].signal, name=name), tuple(elements))
 
 
 def _elements(signals: Iterable[Signal], causality: Causality) -> dict[str, list[PortElement]]:
     """Return the elements of every signal by its name, columns counted from 0."""
+    columns = count()
     elements: dict[str, list[PortElement]] = {}
-    column = 0
     for signal in signals:
-        own = []
-        for index in range(signal.size):
-            own.append(PortElement(signal, causality, index, column))
-            column += 1
-        elements[signal.name] = own
+        indices = range(signal.size)
+        elements[signal.name] = [
+            PortElement(signal, causality, index, next(columns)) for index in indices
+        ]
     return elements
 
 
 def _shown_signal(name: str, elements: Sequence[PortElement], units: Sequence[Unit]) -> Signal:
     """Return the signal that is shown for elements of one kind, variability and causality."""
-    first = elements[0].signal
-    roles = {element.signal.role for element in elements}
-    role = first.role if len(roles) == 1 else "output"
+    own = [element.measure for element in elements]
+    to_shown = [convert or Conversion() for convert in conversions_between(own, units)]
+    start: list[float] = []  # empty: zeros
+    nominal: list[float] = []  # empty: that of none is known
+    for element, convert in zip(elements, to_shown, strict=True):
+        size = element.signal.nominal_values[element.index]
+        start.append(float(convert(element.start)))
+        nominal.append(size if convert.copies else size * abs(convert.factor))
+    signals = [element.signal for element in elements]
+    needs = {signal.connection for signal in signals}
+    strictest: tuple[Need, ...] = ("forbidden", "required", "optional")
+    is_one_role = len({signal.role for signal in signals}) == 1
     signal = replace(
-        first,
+        signals[0],
         name=name,
         size=len(elements),
         unit=None,
         base=None,
-        role=role,
-        start=_start(elements, units),
-        nominal=_nominal(elements, units),
-        connection=_need(elements),
+        role=signals[0].role if is_one_role else "output",
+        start=tuple(start) if any(signal.start for signal in signals) else (),
+        nominal=tuple(nominal) if any(signal.nominal for signal in signals) else (),
+        connection=next(need for need in strictest if need in needs),
     )
     return signal.in_units(units)
-
-
-def _need(elements: Sequence[PortElement]) -> Need:
-    """Return whether something must drive a shown input: the strictest of its elements."""
-    needs = {element.signal.connection for element in elements}
-    strictest: tuple[Need, ...] = ("forbidden", "required", "optional")
-    return next(need for need in strictest if need in needs)
-
-
-def _start(elements: Sequence[PortElement], units: Sequence[Unit]) -> tuple[float, ...]:
-    """Return the values of a shown input that nothing drives yet; empty: zeros."""
-    if not any(element.signal.start for element in elements):
-        return ()
-    values = []
-    for element, to_shown in zip(elements, _to_shown(elements, units), strict=True):
-        value = float(to_shown(element.start))
-        values.append(value)
-    return tuple(values)
-
-
-def _nominal(elements: Sequence[PortElement], units: Sequence[Unit]) -> tuple[float, ...]:
-    """Return what size shown elements usually have; empty: that of none is known."""
-    if not any(element.signal.nominal for element in elements):
-        return ()
-    values = []
-    for element, to_shown in zip(elements, _to_shown(elements, units), strict=True):
-        nominal = element.signal.nominal_values[element.index]
-        values.append(nominal if to_shown.copies else nominal * abs(to_shown.factor))
-    return tuple(values)
-
-
-def _to_shown(elements: Sequence[PortElement], units: Sequence[Unit]) -> list[Conversion]:
-    """Return the conversions of elements to the units in which they are shown."""
-    own = [element.measure for element in elements]
-    return [convert for convert in conversions_between(own, units) if convert is not None]
-
-
-def _check_size(port: Port, elements: Sequence[PortElement]) -> None:
-    needed = len(_positions(port))
-    size = len(elements)
-    if needed and size != needed:
-        names = ", ".join(names_of(elements))
-        raise GraphError(f"'{port}': expected size {needed}, got {size}: {names}")
-
-
-def _check_complete(
-    parts: Sequence[Renaming], covered: Collection[int], replaced: Signal
-) -> dict[Port, str]:
-    """Return why parts are not the whole of a port of known size, by part."""
-    size = replaced.size
-    count = "1 element" if size == 1 else f"{size} elements"
-    problems: dict[Port, str] = {}
-    for part in parts:
-        port = part.port
-        if _positions(port).stop > size:
-            problems[port] = f"{_given(part)}: '{port.whole}' has {count}, numbered from 0"
-    part = parts[0]
-    uncovered = [i for i in range(size) if i not in covered]
-    missing = [str(replace(part.port, element=i)) for i in uncovered]
-    if missing and not problems:
-        port = part.port.whole
-        names = ", ".join(["NAME"] * size)
-        problems[part.port] = (
-            f"{_given(part)} is a part of '{port}', which has {count}; expected entries for the "
-            f"rest too: {', '.join(missing)}, or one for the whole: {port}=[{names}]"
-        )
-    return problems
 
 
 def _given(renaming: Renaming) -> str:

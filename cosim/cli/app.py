@@ -27,9 +27,9 @@ from cosim.version import __version__
 # file and name in the order of the help; a name that Python has itself ends with an underscore
 _HOMES: Final = (
     "runs.run runs.replay logs.diff logs.hash_ studies.study logs.metrics runs.compare "
-    "studies.tune identification.identify identification.design contents.info fmus.check "
+    "studies.tune analysis.identify analysis.design analysis.info fmus.check "
     "fmus.cache logs.plot logs.play logs.cat logs.convert logs.cut logs.merge logs.recover "
-    "contents.list_ contents.show fmus.compile_ fmus.export fmus.linearize"
+    "analysis.list_ analysis.show fmus.compile_ fmus.export fmus.linearize"
 )
 COMMANDS: Final = LazyMapping[Callable[..., None] | typer.Typer](
     "cosim.cli", {home.partition(".")[2].rstrip("_"): home for home in _HOMES.split()}

@@ -21,7 +21,6 @@ import gc
 from ast import literal_eval
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from enum import StrEnum
 from functools import wraps
 from inspect import Parameter, Signature
 from keyword import iskeyword
@@ -110,15 +109,8 @@ def read_edits(texts: list[str], name: str = "set") -> dict[str, Any]:
     return _each(dict(read_pairs(texts, name)), name, parse_value)
 
 
-def read_sweep(texts: list[str], name: str) -> dict[str, list[Any]]:
-    """Read KEY=V1,V2,...; the values are TOML where they can be."""
-    from cosim.scenario.document.document import parse_values
-
-    return _each(read_unique_pairs(texts, name), name, parse_values)
-
-
 def read_variations(texts: list[str], name: str) -> dict[str, Any]:
-    """Read grids, distributions and plants of a study, by key."""
+    """Read values, grids, distributions and plants, by key."""
     from cosim.studies.variations import read_vary_option
 
     return _each(read_unique_pairs(texts, name), name, read_vary_option)
@@ -203,15 +195,12 @@ class OptionKind(NamedTuple):
     type: Any
     read: Callable[[Any, str], Any] | None = None
     complete: Callable[..., list[str]] | None = None
-    least: float | None = None
 
 
-METHODS: Final = StrEnum("METHODS", ["cobyqa", "nelder-mead", "global", "optuna"])
 KINDS: Final = {
     "": OptionKind(bool),
     "bool": OptionKind(bool),
     "float": OptionKind(float),
-    "float >= 0": OptionKind(float, least=0.0),
     "int": OptionKind(int),
     "str": OptionKind(str),
     "Path": OptionKind(Path, lambda path, _: expanded(path)),
@@ -230,14 +219,12 @@ KINDS: Final = {
     "failures": OptionKind(list[str], read_failures, completion.complete_failures),
     "maps": OptionKind(list[str], read_unique_pairs, completion.complete_map),
     "members": OptionKind(str, read_members),
-    "method": OptionKind(METHODS, lambda method, _: str(method)),
     "numbers": OptionKind(list[str], read_numbers),
     "pairs": OptionKind(list[str], read_unique_pairs),
     "ranges": OptionKind(list[str], read_ranges),
     "size": OptionKind(str, read_size),
     "step": OptionKind(str, read_step),
     "swaps": OptionKind(list[str], read_unique_pairs, completion.complete_swap),
-    "sweep": OptionKind(list[str], read_sweep),
     "values": OptionKind(list[str], read_edits),
     "variations": OptionKind(list[str], read_variations, completion.complete_setting),
 }
@@ -253,9 +240,7 @@ def _parameter(key: str, text: str) -> tuple[Parameter, OptionKind]:
     if flags:
         metavar = spelled.removeprefix(" ".join(flags)).strip() or None
         name = max(flags, key=len).partition("/")[0].lstrip("-").replace("-", "_")
-        shown = typer.Option(
-            *flags, metavar=metavar, help=text, autocompletion=kind.complete, min=kind.least
-        )
+        shown = typer.Option(*flags, metavar=metavar, help=text, autocompletion=kind.complete)
         value: Any = None if kind_name else False
     else:
         name, _, metavar = spelled.partition(" ")

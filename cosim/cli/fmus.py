@@ -136,7 +136,7 @@ def linearize(given: Given) -> None:
     from cosim.fmi.linearizing.linearize import linearize_file
     from cosim.fmi.linearizing.request import LinearizationRequest
     from cosim.report.fmu import show_linearization
-    from cosim.scenario.kinds.linearizing import model_toml
+    from cosim.scenario.kinds.observer_design import model_toml
 
     request = LinearizationRequest(
         at=given.at,

@@ -194,8 +194,8 @@ def play(given: Given) -> None:
         "b B : Path": "Another log.",
         "signals [SIGNAL]... : list[str] = None": "Signals to compare, elements or patterns: "
         "plant.y plant.x_a[0:2] '*.delta'. All by default.",
-        "--atol : float >= 0 = 0.0": "Absolute tolerance.",
-        "--rtol : float >= 0 = 0.0": "Tolerance relative to the largest value of each signal.",
+        "--atol : float = 0.0": "Absolute tolerance.",
+        "--rtol : float = 0.0": "Tolerance relative to the largest value of each signal.",
         "--tol SIGNAL=VALUE : numbers": "Absolute tolerance of the signals that match a pattern, "
         "instead of --atol and --rtol: '*.delta=1e-3'. If several patterns match, the last one "
         "counts. Repeatable.",
@@ -208,7 +208,7 @@ def diff(given: Given) -> bool:
 
     Exit 1 if a signal is outside the tolerance.
     """
-    from cosim.report.tables.comparison import show_difference
+    from cosim.report.tables.logs import show_difference
 
     check_plot(given.plot)
     logs = cosim.open_log(given.a), cosim.open_log(given.b)
@@ -280,9 +280,7 @@ def convert(given: Given) -> None:
     """
     from cosim.log.conversion.choice import choose
     from cosim.log.conversion.files import convert as convert_log
-    from cosim.log.conversion.files import free_target
 
-    free_target(given.out, force=given.force)  # before the log is read
     chosen = choose(given.log, given.signals, given.from_, given.to)
     convert_log(chosen, given.out, force=given.force)
     print_text(given.out)

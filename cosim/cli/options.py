@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import redirect_stdout
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TextIO
 
 import typer
 
@@ -97,11 +97,9 @@ def shared(names: str) -> dict[str, str]:
     return table
 
 
-@contextmanager
-def prints_to_stderr() -> Iterator[None]:
+def prints_to_stderr() -> redirect_stdout[TextIO]:
     """Redirect what the code of users prints to stderr: stdout is for data."""
-    with redirect_stdout(sys.stderr):
-        yield
+    return redirect_stdout(sys.stderr)
 
 
 def run_in_child(arguments: Sequence[str]) -> None:

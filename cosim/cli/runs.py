@@ -88,9 +88,10 @@ REPLAY: Final = {
     "--scenario SCENARIO : scenario = None": "Scenario for a recording of another tool: a shipped "
     "scenario by name, or a .toml file. Components named by --map are taken from the recording.",
     **shared("out force set"),
-    "--vary COMPONENT.PARAMETER=V1,V2,... : sweep": "Replay with each of these values and print a "
-    "table of the results. Repeatable: all combinations, at most 1000. All are checked before the "
-    "first one runs. Logs are only written with --out FOLDER.",
+    "--vary COMPONENT.PARAMETER=V1,V2,... : variations": "Replay with each of these values, or "
+    "of a grid such as log:10:1e3:5, and print a table of the results. Repeatable: all "
+    "combinations, at most 1000. All are checked before the first one runs. Logs are only written "
+    "with --out FOLDER.",
     **shared("swap map stop plot json quiet failing no-verdicts"),
 }
 COMPARE: Final = {
@@ -118,7 +119,7 @@ VERDICTS: Final = "verdicts; omit --no-verdicts"
 )
 def run(given: Given) -> bool:
     """Run a scenario and record every signal to an MCAP log."""
-    from cosim.report.tables.logs import is_rotated, print_rotated
+    from cosim.report.tables.logs import is_rotated, show_rotated
     from cosim.report.tables.run import print_summary
     from cosim.scenario.running.execution import load
     from cosim.scenario.running.execution import run as run_scenario
@@ -164,7 +165,8 @@ def run(given: Given) -> bool:
     wall = {"imports": imported - BEGAN, "run": perf_counter() - imported}
     _draw(log, given.plot)
     if given.rotate is not None and is_rotated(log):
-        print_rotated(log, wall=wall, **shown)
+        if given.json or not given.quiet:
+            given.print_shown(show_rotated(log, wall))
     else:
         print_summary(log, wall=wall, profile=profile, **shown)
     return has_failed(_failures(log, given, view))
@@ -180,7 +182,9 @@ def replay(given: Given) -> bool:
 
     Needs only the log; for a recording of another tool also --scenario and --map.
     """
+    from cosim.log import Log
     from cosim.report.tables.run import print_summary
+    from cosim.scenario.recordings.replay_request import ReplayRequest
     from cosim.scenario.running.replay import replayed_once, replays_of
 
     start_collecting()
@@ -192,23 +196,25 @@ def replay(given: Given) -> bool:
     assertions = read_assertions(given.assert_)
     span = (given.from_, given.to)
     with prints_to_stderr():
-        replays = replays_of(
-            given.log,
+        request = ReplayRequest(
             window=None if span == (None, None) else span,
             components=given.component or None,
             **given.only("set swap map allow_code rerun scenario"),
         )
-    if given.verify and replays.source is None:
+        replays = replays_of(given.log, request)
+    if given.verify and not isinstance(replays.source, Log):
         raise UsageError(f"--verify compares with a log of cosim; {given.log} is of another tool")
     shown = {"as_json": given.json, "quiet": given.quiet}
     target = given.only("out force")
     if given.vary:
-        from cosim.report.comparing import sweep_of
-        from cosim.report.tables.comparison import print_sweep
+        from cosim.report.comparing import print_failures
+        from cosim.studies.sweeping import show_sweep, sweep_of
 
         with show_progress(given.quiet or given.json) as progress, prints_to_stderr():
             sweep = sweep_of(replays, given.vary, progress=progress, **target)
-        print_sweep(sweep, **shown)
+        if given.json or not given.quiet:
+            given.print_shown(show_sweep(sweep))
+        print_failures((f"row {i}", row.problem) for i, row in enumerate(sweep.rows, start=1))
         return not sweep.passed
     check_plot(given.plot, given.out)
     notice = None if given.quiet else print_notice
@@ -218,13 +224,13 @@ def replay(given: Given) -> bool:
             replayed = replayed_once(replays, progress=progress, notice=notice, live=view, **target)
             again = resources.enter_context(replayed)
         _draw(again, given.plot)
-        if given.verify and replays.source is not None:
-            from cosim.report.tables.logs import print_verification
+        if given.verify and isinstance(replays.source, Log):
+            from cosim.report.tables.logs import show_verification
             from cosim.report.verification import verify
 
-            designs = None if replays.request.window is not None else replays.designs()
+            designs = None if request.window is not None else replays.designs()
             verification = verify(replays.source, again, designs)
-            print_verification(verification, replays.source, path=given.log, **shown)
+            given.print_shown(show_verification(verification, given.log, quiet=given.quiet))
             if not verification.passed:
                 return True
         else:
@@ -259,8 +265,7 @@ def compare(given: Given) -> bool:
     With --swap the scenario runs once for each plant; with --estimators every method gets the same
     recorded data. Exit 1 if one of them fails.
     """
-    from cosim.report.comparing import EstimatorComparison
-    from cosim.report.tables.comparison import show_estimators, show_plants
+    from cosim.report.comparing import EstimatorComparison, show_estimators, show_plants
 
     methods = [name.strip() for name in ",".join(given.estimators or ()).split(",")]
     several = [component for component, paths in given.swap.items() if len(paths) > 1]
@@ -283,7 +288,7 @@ def compare(given: Given) -> bool:
         if given.estimators:
             comparison = cosim.compare_estimators(
                 scenario,
-                estimators="all" if methods == ["all"] else methods,
+                estimators=methods,
                 swap={component: paths[0] for component, paths in given.swap.items()},
                 **options,
             )

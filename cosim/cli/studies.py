@@ -108,8 +108,8 @@ TUNE: Final = {
     "--vary KEY=VALUES : ranges": "Parameter and its range: observer.filter_rate=log:10:1e4, "
     "plant.R=0.5:2; with optuna also lists: plant=[a.fmu,b.fmu]. Repeatable.",
     "--members N : int = 200": "Largest number of runs.",
-    "--method : method = 'cobyqa'": "cobyqa and nelder-mead: local search from several starts; "
-    "global: differential evolution; optuna: model-based search.",
+    "--method cobyqa|nelder-mead|global|optuna : str = 'cobyqa'": "cobyqa and nelder-mead: local "
+    "search from several starts; global: differential evolution; optuna: model-based search.",
     "--starts N : int = 4": "Starting points of a local search.",
     "--seed N : int = 1": "Seed of starting points and random samples.",
     "--standard-errors": "Standard errors of the values, if the metric is the rms of a residual.",

@@ -13,7 +13,7 @@ In the order in which to read it::
       stages/                  the engine under it: components in their places, cascades and loops,
                                in Python and in compiled code
     recorders, recorded        what takes the rows, and gives them back by name
-      recorded_run             and by time, with what they rest on
+      recorded.run             and by time, with what they rest on
       selection, joined_rows   signals by pattern; those of several rates in one table
       frames                   tables of pandas, polars, xarray
     simulation                 the same engine, step by step

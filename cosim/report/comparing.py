@@ -1,4 +1,4 @@
-"""Several runs side by side: a scenario on several plants, its data by several estimators, replays.
+"""Several runs side by side: a scenario on several plants, its data by several estimators.
 
 A run that fails is an outcome like the others, with its reason.
 """
@@ -9,30 +9,39 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from functools import cached_property, partial
-from itertools import chain, count
+from itertools import chain, count, product
 from pathlib import Path
-from typing import Any, Final, TypeAlias, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
+from rich.table import Table
 
 from cosim.arguments import (
-    callable_argument,
     mapping_argument,
     path_argument,
-    setting_arguments,
     swap_argument,
     truth_argument,
 )
-from cosim.arrays import Vector, as_columns
+from cosim.arrays import Vector
 from cosim.core.port import named_ports, split_element
 from cosim.core.recorded.run import RecordedRun
+from cosim.core.recorded.signals import warning_texts
 from cosim.core.recorders import Memory
 from cosim.errors import CosimError, Interrupted, UsageError, flag, nearest, option, quoted
 from cosim.files import file_type
 from cosim.log import Log, open_log
-from cosim.report.recorded_rows import difference, stacked_rows_of
-from cosim.report.summary import Summary, summarize
-from cosim.scenario.building.parsing import Scenario
+from cosim.report.printable import print_notice
+from cosim.report.recorded_rows import difference, last_value, stacked_rows_of
+from cosim.report.summary import (
+    ERROR,
+    HALF_WIDTH,
+    LARGEST_ERROR,
+    ResultValue,
+    Summary,
+    results_of,
+    summarize,
+)
+from cosim.report.tables.console import Shown, new_table
 from cosim.scenario.document.document import component_in, short
 from cosim.scenario.document.swaps import (
     PortNames,
@@ -40,26 +49,23 @@ from cosim.scenario.document.swaps import (
     marked_path,
     port_names,
 )
+from cosim.scenario.kinds.base import Scenario
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.variants import METHODS, IdentificationMethod, foreign_keys
 from cosim.scenario.record import recorded_identification, truth_of
-from cosim.scenario.recordings.recording import Progress, Target, check_target
-from cosim.scenario.running.combinations import check_varied, combination_text, combinations
+from cosim.scenario.recordings.recording import Target, check_target
+from cosim.scenario.recordings.replay_request import ReplayRequest
 from cosim.scenario.running.execution import load, run
-from cosim.scenario.running.replay import Replays, replay, replays_of
+from cosim.scenario.running.replay import replays_of
 from cosim.temporary import TemporaryFolder
 from cosim.theory.documents import ParameterVerdict
 from cosim.theory.quantiles import CONFIDENCE, normal_two_sided
 
 ALL: Final = "all"  # estimators
-ERROR: Final = " error"  # after the name of what it is of
-HALF_WIDTH: Final = " half-width"
-LARGEST_ERROR: Final = " largest error"
-SweepValue: TypeAlias = float | str | None
 _Made = TypeVar("_Made")
 
 
-def _attempt(make: Callable[[], _Made]) -> tuple[_Made | None, str]:
+def attempt(make: Callable[[], _Made]) -> tuple[_Made | None, str]:
     """Return what is made, or why it failed, whatever it is: the others go on."""
     try:
         return make(), ""
@@ -69,7 +75,7 @@ def _attempt(make: Callable[[], _Made]) -> tuple[_Made | None, str]:
         return None, str(error)
 
 
-def _targets(
+def log_paths(
     out: str | Path | None, names: Sequence[str], check: Callable[[Path | None], None]
 ) -> list[Path | None]:
     """Return where the log of each run goes, all of them checked; None: nowhere."""
@@ -85,11 +91,66 @@ def _targets(
     return logs
 
 
+def results_table(
+    title: str,
+    heads: Sequence[str],
+    rows: Sequence[tuple[Sequence[str], Mapping[str, ResultValue] | None]],
+) -> Table:
+    """Return a table of the results of several runs.
+
+    Parameters
+    ----------
+    title : str
+    heads : sequence of str
+        Of what tells a run from the others.
+    rows : sequence of (texts, results)
+        That, and the results by name; half widths and errors stand behind what they are of. None:
+        the run failed.
+    """
+    names = dict.fromkeys(chain.from_iterable(results or () for _, results in rows))
+    beside = {name + suffix for name, suffix in product(names, (HALF_WIDTH, ERROR))}
+    columns = [name for name in names if name not in beside and not name.endswith(LARGEST_ERROR)]
+    cells = []
+    for texts, results in rows:
+        found = ["failed"]
+        if results is not None:
+            found = [_result_text(results, name) for name in columns]
+        cells.append([*texts, *found])
+    return new_table(title, (*heads, *columns), cells)
+
+
+def _result_text(results: Mapping[str, ResultValue], name: str) -> str:
+    value = results.get(name, "")
+    text = "no value" if value is None else str(value)
+    if isinstance(value, float):
+        text = f"{value:.6g}"
+    for suffix, words in ((HALF_WIDTH, " ± "), (ERROR, ", error ")):
+        other = results.get(f"{name}{suffix}")
+        if isinstance(other, float):
+            text += f"{words}{other:.2g}"
+    return text
+
+
+def print_failures(failures: Iterable[tuple[str, str]]) -> None:
+    """Print why some of several runs failed."""
+    for name, text in failures:
+        for line in text.splitlines():
+            print_notice(f"{name}: failed: {line}")
+
+
 def _path_of(recording: Log | Memory | None) -> str | None:
     """Return where a run was recorded; None: nowhere that is there still."""
     if isinstance(recording, Log) and recording.is_at_its_path:
         return str(recording.path)
     return None
+
+
+def _truths(recordings: Mapping[str, RecordedRun]) -> dict[str, Any]:
+    """Return the estimates of runs with their truth, under the names of the first that has it."""
+    truths: dict[str, Any] = {}
+    for recording in recordings.values():
+        truths |= {key: true for key, true in truth_of(recording).items() if key not in truths}
+    return truths
 
 
 # --- plants ---
@@ -146,11 +207,7 @@ class Comparison:
     @cached_property
     def estimates(self) -> dict[str, Any]:
         """The estimates with their truth, in the order of the scenario."""
-        estimates: dict[str, Any] = {}
-        for recording in self.recordings.values():
-            for estimate, truth in truth_of(recording).items():
-                estimates.setdefault(estimate, truth)  # the names of the first plant that has it
-        return estimates
+        return _truths(self.recordings)
 
     @cached_property
     def summaries(self) -> dict[str, Summary]:
@@ -160,39 +217,56 @@ class Comparison:
     @cached_property
     def differences(self) -> list[EstimateDifference]:
         """The distance of every estimate from that of the first run, at their shared instants."""
-        reference, *others = self.recordings or [""]
-        differences: list[EstimateDifference] = []
-        for estimate in self.estimates:
-            for label in others:
-                first = self.recordings[reference]
-                other = self.recordings[label]
-                if estimate in first and estimate in other:
-                    _, values = difference(first, other, estimate)
-                    finite = np.isfinite(values)
-                    largest = np.abs(values).max(axis=0, where=finite, initial=-1.0).tolist()
-                    known = tuple(None if one < 0.0 else one for one in largest)
-                    differences.append(EstimateDifference(estimate, label, known))
+        differences = []
+        runs = list(self.recordings.items())
+        for estimate, (label, other) in product(self.estimates, runs[1:]):
+            _, first = runs[0]
+            if estimate in first and estimate in other:
+                _, values = difference(first, other, estimate)
+                sizes = np.abs(values).max(axis=0, where=np.isfinite(values), initial=-1.0).tolist()
+                largest = tuple(None if size < 0.0 else size for size in sizes)
+                differences.append(EstimateDifference(estimate, label, largest))
         return differences
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        plants = []
-        for outcome in self.outcomes:
-            summary = self.summaries.get(outcome.label)
-            plants.append(
-                {
-                    "plant": outcome.label,
-                    "error": outcome.error or None,
-                    "log": _path_of(outcome.recording),
-                    "summary": None if summary is None else summary.to_dict(),
-                }
-            )
+        summaries = {label: summary.to_dict() for label, summary in self.summaries.items()}
+        plants = [
+            {
+                "plant": one.label,
+                "error": one.error or None,
+                "log": _path_of(one.recording),
+                "summary": summaries.get(one.label),
+            }
+            for one in self.outcomes
+        ]
         return {
             "scenario": self.scenario,
             "component": self.component,
             "plants": plants,
             "differences": [asdict(row) for row in self.differences],
         }
+
+
+def show_plants(comparison: Comparison) -> Shown:
+    """Show the results of several plants, and how far their estimates are from the first one's."""
+    yield comparison.to_dict()
+    first = next(iter(comparison.recordings), "")
+    results = {label: results_of(summary) for label, summary in comparison.summaries.items()}
+    for one in comparison.differences:
+        known = [size for size in one.largest if size is not None]
+        results[one.label][f"{one.estimate} from {first}"] = max(known, default=None)
+    rows = [([one.label], results.get(one.label)) for one in comparison.outcomes]
+    yield results_table(f"{comparison.scenario}: {comparison.component}", ["plant"], rows)
+    if not comparison.estimates:
+        yield (
+            "no estimates to compare: the scenario has no [truth]; --out keeps the logs, and "
+            "'cosim diff' compares all their signals"
+        )
+    for label, recording in comparison.recordings.items():
+        for text in warning_texts(recording.warnings):
+            print_notice(f"warning: {label}: {text}")
+    print_failures((one.label, one.error) for one in comparison.outcomes)
 
 
 def compare(
@@ -241,11 +315,9 @@ def compare(
     common = loaded.edit(set=of_others)  # a problem of all plants is raised once
     document = loaded.document.with_changes(changes)
     maps = _maps_by_path(component, paths, mapping_argument("map", map))
-    plants: list[tuple[Scenario | None, str]] = []
-    for path in paths:
-        swapped = document.with_swaps({component: path}, maps[path])
-        plants.append(_attempt(partial(loaded.parse, swapped)))
-    if all(plant is None for plant, _ in plants):
+    swapped = [document.with_swaps({component: path}, maps[path]) for path in paths]
+    plants = [attempt(partial(loaded.parse, one)) for one in swapped]
+    if all(error for _, error in plants):
         raise UsageError("\n".join(dict.fromkeys(error for _, error in plants)))
     labels = [_label(path) for path in paths]
     if base:
@@ -253,12 +325,12 @@ def compare(
         plants.insert(0, (common, ""))
     labels = _distinct(labels)
     names = [label.replace("#", "-") for label in labels]
-    logs = _targets(out, names, partial(check_target, force=force))
+    logs = log_paths(out, names, partial(check_target, force=force))
     outcomes = []
     for label, (plant, error), log in zip(labels, plants, logs, strict=True):
         recording = None
         if plant is not None:
-            recording, error = _attempt(partial(run, plant, out=log, force=force))
+            recording, error = attempt(partial(run, plant, out=log, force=force))
         outcomes.append(PlantRun(label, recording, error))
     return Comparison(loaded.name, component, tuple(outcomes))
 
@@ -296,7 +368,7 @@ def _alternatives(swap: Mapping[str, Sequence[str | Path]], *, base: bool) -> tu
             f"{flag('base', False)}"
         )
     listed = [marked_path(str(path_argument("swap", path))) for path in paths]
-    errors = [_attempt(partial(component_table, component, path))[1] for path in listed]
+    errors = [attempt(partial(component_table, component, path))[1] for path in listed]
     if any(errors):
         raise UsageError("\n".join(f"{place}: {error}" for error in errors if error))
     return component, listed
@@ -412,14 +484,25 @@ class EstimatorResult:
             return np.full(len(self.theta), np.nan)
         return normal_two_sided(CONFIDENCE) * self.standard_error
 
+    @property
+    def results(self) -> dict[str, ResultValue]:
+        """What the method says, by name; empty where it failed."""
+        results: dict[str, ResultValue] = {}
+        if self.theta is None:
+            return results
+        parts = {"": self.theta, HALF_WIDTH: self.half_width, ERROR: self.error}
+        for suffix, values in parts.items():
+            for number, value in enumerate(_plain(values) or []):
+                results[f"theta[{number}]{suffix}"] = value
+        verdicts = ", ".join(one.verdict for one in self.verdicts)
+        return {**results, "time / rest": self.time_ratio, "verdict": verdicts}
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON; None where there is no value."""
         return {
             "method": self.method,
             "failure": self.failure or None,
-            "theta": _plain(self.theta),
-            "standard_error": _plain(self.standard_error),
-            "error": _plain(self.error),
+            **{key: _plain(vars(self)[key]) for key in ("theta", "standard_error", "error")},
             "time_ratio": self.time_ratio,
             "verdicts": [asdict(verdict) for verdict in self.verdicts],
             "log": _path_of(self.recording),
@@ -449,8 +532,7 @@ class EstimatorComparison:
     def estimates(self) -> dict[str, Any]:
         """theta with its truth, where there is one."""
         theta = f"{self.component}.theta"
-        truths = [truth_of(recording).get(theta) for recording in self.recordings.values()]
-        return next(({theta: truth} for truth in truths if truth is not None), {})
+        return {name: true for name, true in _truths(self.recordings).items() if name == theta}
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON; None where there is no value."""
@@ -497,25 +579,25 @@ def compare_estimators(
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
     edited = loaded.edit(swap=swap, map=map, set=mapping_argument("set", set))
     component = _identifier(edited)
-    table = edited.document.tree()[0]["components"][component]
-    targets = _targets(out, [edited.name, *methods], partial(check_target, force=force))
+    table = edited.document.tables().tree["components"][component]
+    targets = log_paths(out, [edited.name, *methods], partial(check_target, force=force))
     results = []
     with ExitStack() as resources:
         path = targets[0]
         if path is None:
             path = resources.enter_context(TemporaryFolder("compare")) / f"{edited.name}.mcap"
         times: dict[str, float] = {}
-        log = run(edited, out=path, force=force, profile=times)
-        assert isinstance(log, Log)
+        run(edited, out=path, force=force, profile=times)
+        replays = replays_of(path, ReplayRequest())
         others = sum(times.get(name, 0.0) for name in edited.specs if name != component)
         for method, target in zip(methods, targets[1:], strict=True):
             foreign = foreign_keys(METHODS, method)
             own = {key: value for key, value in table.items() if key not in foreign}
-            changes = {component: {**own, "method": method}}
+            values = {component: {**own, "method": method}}
             times = {}
-            again, failure = _attempt(
-                partial(replay, log, set=changes, out=target, force=force, profile=times)
-            )
+            to = Target(target, force)
+            make = partial(replays.record, values, to, progress=None, profile=times)
+            again, failure = attempt(make)
             if again is None:
                 results.append(EstimatorResult(method=method, failure=failure))
             else:
@@ -526,19 +608,18 @@ def compare_estimators(
 
 def _methods(estimators: str | Sequence[str]) -> list[IdentificationMethod]:
     """Return the methods of these names."""
-    if estimators == ALL:
-        return list(METHODS)
-    place = option("estimators")
+    known: dict[str, IdentificationMethod] = {method: method for method in METHODS}
     names = [estimators] if isinstance(estimators, str) else list(estimators)
+    names = list(known) if names == [ALL] else names
+    place = option("estimators")
+    if not names:
+        raise UsageError(f"{place}: expected {ALL}, or some of: {tuple(known)}; got none")
     for name in names:
-        if name not in METHODS:
-            suggestion = nearest(str(name), [*METHODS, ALL])
+        if name not in known:
+            suggestion = nearest(str(name), [*known, ALL])
             raise UsageError(f"{place}: no method {quoted(name)}; {suggestion}")
         if names.count(name) > 1:
             raise UsageError(f"{place}: {name} is given twice")
-    if not names:
-        raise UsageError(f"{place}: expected {ALL}, or some of: {tuple(METHODS)}; got none")
-    known: dict[str, IdentificationMethod] = {method: method for method in METHODS}
     return [known[name] for name in names]
 
 
@@ -556,10 +637,9 @@ def _identifier(scenario: Scenario) -> str:
 def _result(
     method: str, recording: Log | Memory, component: str, time_ratio: float | None
 ) -> EstimatorResult:
-    port = f"{component}.theta"
-    theta = _last(recording, port)
-    if theta is None:
-        theta = np.zeros(0)  # no term has a parameter
+    port, deviation = f"{component}.theta", f"{component}.standard_error"
+    # no term has a parameter where there is no theta
+    theta = last_value(recording, port) if port in recording else np.zeros(0)
     true = truth_of(recording).get(port)
     if true is not None and named_ports(true):
         _, rows = stacked_rows_of(recording, named_ports(true), like=port)
@@ -570,243 +650,18 @@ def _result(
         recording=recording,
         time_ratio=time_ratio,
         theta=theta,
-        standard_error=_last(recording, f"{component}.standard_error"),
+        standard_error=last_value(recording, deviation) if deviation in recording else None,
         error=None if true is None else theta - np.array(true, np.float64),
         verdicts=() if verdicts is None else verdicts.estimate,
     )
 
 
-def _last(recording: Log | Memory, port: str) -> Vector | None:
-    """Return the last row of a port; None: there is none."""
-    if port not in recording:
-        return None
-    rows = as_columns(recording[port])
-    last: Vector = rows[-1].copy() if len(rows) else np.full(rows.shape[1], np.nan)
-    return last
-
-
-# --- replays ---
-
-
-@dataclass(frozen=True)
-class SweepRow:
-    """One replay of a sweep.
-
-    Parameters
-    ----------
-    values : mapping of dotted key to value
-        What was varied.
-    summary : Summary or None
-        None: the replay failed.
-    problem : str
-        Why it failed; empty: it did not.
-    path : Path or None
-        Of its log; None: none was written.
-    """
-
-    values: Mapping[str, Any]
-    summary: Summary | None
-    problem: str = ""
-    path: Path | None = None
-
-    @property
-    def results(self) -> dict[str, SweepValue]:
-        """What the result says, by column: see :func:`results_of`; empty where it failed."""
-        return {} if self.summary is None else results_of(self.summary)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        return {
-            "values": dict(self.values),
-            "results": self.results,
-            "problem": self.problem or None,
-            "log": None if self.path is None else str(self.path),
-            "summary": None if self.summary is None else self.summary.to_dict(),
-        }
-
-
-@dataclass(frozen=True)
-class ReplaySweep:
-    """Replays of one log with varied values.
-
-    Parameters
-    ----------
-    log : str
-        Its path.
-    varied : tuple of str
-        The keys whose values differ.
-    rows : tuple of SweepRow
-        One a combination, in their order.
-    """
-
-    log: str
-    varied: tuple[str, ...]
-    rows: tuple[SweepRow, ...]
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """The names of all results that a row has."""
-        return tuple(dict.fromkeys(chain.from_iterable(row.results for row in self.rows)))
-
-    def __getitem__(self, column: str) -> list[SweepValue]:
-        """Return a result in every row; None where there is none."""
-        return [row.results.get(column) for row in self.rows]
-
-    @property
-    def passed(self) -> bool:
-        """Whether no replay failed."""
-        return not any(row.problem for row in self.rows)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        return {
-            "log": self.log,
-            "varied": list(self.varied),
-            "columns": list(self.columns),
-            "rows": [row.to_dict() for row in self.rows],
-        }
-
-
-def results_of(summary: Summary) -> dict[str, SweepValue]:
-    """Return what the result of a run says, by name.
-
-    * of every estimate with a truth, and every parameter of an identifier: its value at the end;
-      with ``error`` after its name the distance from the truth, with ``half-width`` half of the
-      95 % interval;
-    * of every identifier: ``verdict``, those of its parameters, the same ones once; ``noise``, the
-      deviation of the noise of y by the residual (of several outputs ``noise[0]``, ...);
-    * of every estimated signal: ``rms error`` and ``largest error``, from the start of the
-      identification on;
-    * without a truth: the last values of the outputs.
-    """
-    results: dict[str, SweepValue] = {}
-    for outcome in summary.values:
-        results[outcome.estimate] = outcome.value
-        results[f"{outcome.estimate}{ERROR}"] = outcome.error
-    for identification in summary.identifications:
-        name = identification.component
-        verdicts = dict.fromkeys(one.verdict for one in identification.parameters)
-        for parameter in identification.parameters:
-            results.setdefault(parameter.estimate, parameter.value)
-            results[f"{parameter.estimate}{HALF_WIDTH}"] = parameter.half_width
-        if verdicts:
-            results[f"{name} verdict"] = ", ".join(verdicts)
-        results |= _elements(f"{name} noise", identification.deviation)
-    for signal in summary.signals:
-        results[f"{signal.estimate} rms error"] = signal.rms
-        results[f"{signal.estimate}{LARGEST_ERROR}"] = signal.largest
-    for name, last in summary.last.items():
-        results |= _elements(name, last if isinstance(last, list) else [last])
-    return results
-
-
-def _elements(name: str, values: Sequence[float]) -> dict[str, SweepValue]:
-    """Return values by name; of several each has its number."""
-    if len(values) == 1:
-        return {name: values[0]}
-    return {f"{name}[{number}]": value for number, value in enumerate(values)}
-
-
-def replay_sweep(
-    log: str | Path | Log,
-    *,
-    vary: Mapping[str, Sequence[Any]],
-    set: Mapping[str, Any] | None = None,
-    swap: Mapping[str, str | Path] | None = None,
-    map: Mapping[str, PortNames] | None = None,
-    allow_code: bool = False,
-    rerun: bool = False,
-    window: tuple[float | None, float | None] | None = None,
-    components: Sequence[str] | None = None,
-    scenario: str | Path | Scenario | None = None,
-    stop: float | None = None,
-    verdicts: bool | None = None,
-    out: str | Path | None = None,
-    force: bool = False,
-    progress: Progress | None = None,
-) -> ReplaySweep:
-    """Replay a log with every combination of some values: one log, many answers.
-
-    All combinations are checked before the first is run. What is taken from a log of cosim is read
-    once.
-
-    Parameters
-    ----------
-    log : str, Path or Log
-        As of :func:`cosim.replay`: of a log that was rotated with the files before it.
-    vary : mapping of dotted key to sequence of values
-        Such as ``{"identifier.P0": [1e3, 1e6], "observer.filter_rate": [100.0, 300.0]}``; there
-        are at most 1000 combinations.
-    set : mapping of dotted key to value, optional
-        What all of them have; not what is varied.
-    swap, map, allow_code, rerun, window, components, scenario, stop, verdicts
-        As of :func:`cosim.replay`.
-    out : str or Path, optional
-        Folder for their logs, ``1.mcap``, ``2.mcap``, ... in the order of the rows; without it
-        nothing is written.
-    force : bool
-        Replace logs there.
-    progress : callable, optional
-        Called with simulated time and end [s], of all replays together.
-
-    Raises
-    ------
-    UsageError
-        As from :func:`cosim.replay`, before the first replay; it names the combination.
-    Interrupted
-        If the user interrupts one.
-    """
-    callable_argument("progress", progress)
-    force = truth_argument("force", force)
-    with setting_arguments(set, stop=stop, verdicts=verdicts) as changes:
-        replays = replays_of(
-            log,
-            set=changes,
-            swap=swap,
-            map=map,
-            allow_code=allow_code,
-            rerun=rerun,
-            window=window,
-            components=components,
-            scenario=scenario,
-        )
-        return sweep_of(replays, vary, out=out, force=force, progress=progress)
-
-
-def sweep_of(
-    replays: Replays,
-    vary: Mapping[str, Sequence[Any]],
-    *,
-    out: str | Path | None,
-    force: bool,
-    progress: Progress | None,
-) -> ReplaySweep:
-    """Replay with every combination of some values; parameters as of :func:`replay_sweep`."""
-    rows = combinations(vary)
-    check_varied(replays.changes, rows[0])
-    names = [str(number) for number in range(1, len(rows) + 1)]
-    targets = _targets(out, names, partial(replays.check_target, force=force))
-    for values in rows:
-        try:
-            replays.check(values)
-        except UsageError as error:
-            text = str(error)
-            if len(values) == 1:
-                text = text.removeprefix(f"{option('set', next(iter(values)))}: ")
-            raise UsageError(f"{combination_text(values)}: {text}") from error
-    done = []
-    for number, (values, path) in enumerate(zip(rows, targets, strict=True)):
-        part = None
-        if progress is not None:
-            part = partial(_part, progress, number, len(rows))
-        again, problem = _attempt(
-            partial(replays.record, values, Target(path, force), progress=part)
-        )
-        summary = None if again is None else summarize(again)
-        done.append(SweepRow(values, summary, problem, path))
-    return ReplaySweep(replays.label, tuple(rows[0]), tuple(done))
-
-
-def _part(progress: Progress, number: int, count: int, time: float, end: float) -> None:
-    """Report the progress of one replay as a part of that of all."""
-    progress(number * end + time, count * end)
+def show_estimators(comparison: EstimatorComparison) -> Shown:
+    """Show what several methods estimate from the same data."""
+    yield comparison.to_dict()
+    title = f"{comparison.scenario}: {comparison.component}"
+    rows = [([one.method], None if one.failure else one.results) for one in comparison.results]
+    yield results_table(title, ["method"], rows)
+    yield "±: half width of the 95 % interval, where there is one"
+    yield "time / rest: computing time of the identifier over that of all other components"
+    print_failures((one.method, one.failure) for one in comparison.results)

@@ -13,7 +13,7 @@ from cosim.arrays import Matrix, Vector, as_columns
 from cosim.core.recorded.partial import declared_channels, is_recorded_whole
 from cosim.core.recording import Recording
 from cosim.errors import LogError
-from cosim.report.recorded_rows import element_names, has_signal
+from cosim.report.recorded_rows import element_names, has_signal, last_value
 from cosim.scenario import record
 from cosim.scenario.kinds.identified_plant import OUTPUT_ERROR
 from cosim.theory.assessment.consistency import NOTHING_ELSE
@@ -213,26 +213,28 @@ class CompensationSummary:
         yield "regulated error", f"{error}, as measured"
 
 
-def bad_verdicts(recording: Recording) -> Iterator[tuple[str, str, str]]:
-    """Yield estimates, verdict and reason where estimates contradict the data, or have no value.
+def bad_verdicts(recording: Recording) -> Iterator[tuple[str, str]]:
+    """Yield where estimates contradict the data, or have no value, each with what fails on it.
 
-    The verdict is ``INCONSISTENT``, another one of what has no value, or empty: none was made.
+    That is "inconsistent" or "no-estimate", or empty: no verdict was made.
     """
     verdicts = record.recorded_identification(recording)
     for name in declared_channels(recording.channels):
         about = record.component_record(recording, name)
-        if not about.is_identifier:
-            continue
-        found = verdicts.get(name, record.IdentifierVerdicts(problem="no verdict was made"))
-        if found.problem:
-            yield name, Verdict.NO_ESTIMATE if name in verdicts else "", found.problem
-        bad = (
-            (own.verdict, own.reason, own.name)
-            for own in _parameters(name, about, found)[0]
-            if own.verdict == Verdict.INCONSISTENT or own.value is None
-        )
-        for (verdict, reason), names in by_reason(bad).items():
-            yield ", ".join(names), verdict, reason
+        if about.is_identifier and name not in verdicts:
+            yield "", f"{name}: no verdict was made"
+        elif about.is_identifier:
+            found = verdicts[name]
+            rows = [
+                (one.verdict, one.reason, one.name)
+                for one in _parameters(name, about, found)[0]
+                if one.verdict == Verdict.INCONSISTENT or one.value is None
+            ]
+            if found.problem:
+                rows.append((Verdict.NO_ESTIMATE, found.problem, name))
+            for (verdict, reason), names in by_reason(rows).items():
+                what = "inconsistent" if verdict == Verdict.INCONSISTENT else "no-estimate"
+                yield what, f"{', '.join(names)}: {verdict}: {reason}"
 
 
 def by_reason(rows: Iterable[tuple[str, str, str]]) -> dict[tuple[str, str], list[str]]:
@@ -299,18 +301,14 @@ def _extent(
     if found.extent:
         yield found.extent
     theta = f"{component}.theta"
-    if found.problem or about.method != OUTPUT_ERROR or not has_signal(recording, theta):
-        return  # no term has a parameter
-    rows = as_columns(recording[theta])
-    if len(rows) and np.isfinite(rows[-1]).all():
+    has_value = any(one.value is not None for one in found.parameters)
+    if about.method != OUTPUT_ERROR or not (has_value and has_signal(recording, theta)):
         return
-    end = recording.end_ns / 1e9
-    cause = "no fit during the run led to one; the fit after the run did"
-    if end < about.start_time:
-        cause = f"the run ends at {end:g} s, before the identification start time"
-    elif all(parameter.value is None for parameter in found.parameters):
-        return  # the verdicts say why
-    yield f"{theta} itself has no value at the end: {cause}"
+    if not np.isfinite(last_value(recording, theta)).all():
+        yield (
+            f"{theta} itself has no value at the end: no fit during the run led to one; the fit "
+            "after the run did"
+        )
 
 
 def noise_text(found: record.IdentifierVerdicts) -> str:

@@ -9,12 +9,12 @@ from decimal import Decimal
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
-from cosim.core.connections import AS_IS, Connection, element_units
-from cosim.core.port import Port
+from cosim.core.connections import AS_IS, element_units
+from cosim.core.graph import Graph
 from cosim.core.recorded.partial import declared_channels
 from cosim.core.recorded.signals import RunMessage
 from cosim.core.recording import SignalEvent
@@ -24,6 +24,7 @@ from cosim.instants import NANOSECONDS, step_value
 from cosim.log.contents.environment import WRITTEN
 from cosim.report.certificate import certificate_of
 from cosim.report.summary import summarize
+from cosim.report.tables.console import Section
 from cosim.scenario import record
 from cosim.scenario.building.build import Builder, describe
 from cosim.scenario.building.coupling import described_gains, gain_values
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
     from cosim.log import Log
     from cosim.log.foreign.survey import TopicSurvey
 
-Section = dict[str, Any]
 _Found = TypeVar("_Found")
 
 VERSIONS: Final = ("cosim", "python", "numpy", "scipy", "mcap")
@@ -248,7 +248,7 @@ def describe_recording(path: str) -> Section:
         for topic in topics
         for name, type_name in topic.fields.items()
     ]
-    content = {"recording": about, "topics": list(map(_topic_row, topics)), "fields": fields}
+    content = {"recording": about, "topics": list(map(_topic_row, topics)), "fields": []}
     content |= _limited("fields", fields, MOST_FIELDS)
     problems = {topic.topic: topic.problem for topic in topics if topic.problem}
     return {**content, **_unread("topic", problems)}
@@ -357,7 +357,7 @@ def describe_scenario(name: str) -> Section:
         "scenario": about,
         "loops": [gain_values(gain) for gain in gains],
         "signals": signals,
-        "connections": _connection_rows(described),
+        "connections": _connection_rows(described, graph),
         "metadata": dict(described.context.metadata),
     }
     actions = [_action_row(action) for action in loaded.actions.values()]
@@ -375,54 +375,45 @@ def _action_row(action: ActionTable) -> Section:
     return {"t": t, "signal": signals, "action": effect, "value": value}
 
 
-def _connection_rows(described: Builder) -> list[Section]:
+def _connection_rows(described: Builder, graph: Graph | None) -> list[Section]:
     """Return the connections; of inputs that nothing drives their start values.
 
     Where the ports of some components are not known, the connections are as they are written.
     """
-    graph = None if described.unknown else described.graph()
-    if graph is None:
-        written = described.scenario.connections.items()
-        return [_connection_row(*one, unit=_joined(one[1].unit)) for one in written]
     rows = []
-    for to, connection in graph.connections.items():
+    written = described.scenario.connections if graph is None else graph.connections
+    for to, connection in written.items():
         unit = _joined(connection.unit)
-        sources = [graph.ports.output(port) for port in connection.sources]
-        of_sources = element_units(connection, sources, graph.ports.input(to))
-        units = list(chain.from_iterable(of_sources))
-        if connection.unit != AS_IS:
-            unit = _distinct(one.reached.name for one in units) or None
-        made = [str(one) for one in graph.conversions.get(to, ()) if not one.copies]
-        if made:
-            unit = f"{unit} -> {_distinct(one.target.name for one in units)}"
-        rows.append(_connection_row(to, connection, unit=unit, conversion=_distinct(made) or None))
-    for to, values in graph.unconnected.items():
+        made = []
+        if graph is not None:
+            sources = [graph.ports.output(port) for port in connection.sources]
+            of_sources = element_units(connection, sources, graph.ports.input(to))
+            units = list(chain.from_iterable(of_sources))
+            if connection.unit != AS_IS:
+                unit = _distinct(one.reached.name for one in units) or None
+            made = [str(one) for one in graph.conversions.get(to, ()) if not one.copies]
+            if made:
+                unit = f"{unit} -> {_distinct(one.target.name for one in units)}"
+        gain = connection.matrix
+        expression = f"{gain.tolist()} v" if gain.ndim or gain != 1.0 else "v"
+        if connection.offset:
+            sign = "-" if connection.offset < 0.0 else "+"
+            expression += f" {sign} {abs(connection.offset)}"
         row = {
             "to": str(to),
-            "from": f"start value {_numbers(values, ', ')}",
-            "map": None,
-            "unit": units_text(graph.ports.input(to).measures) or None,
-            "conversion": None,
+            "from": connection.label,
+            "map": None if expression == "v" else expression,  # of the source's value v
+            "unit": unit,
+            "conversion": _distinct(made) or None,
         }
         rows.append(row)
+    if graph is not None:
+        for to, values in graph.unconnected.items():
+            start = f"start value {_numbers(values, ', ')}"
+            unit = units_text(graph.ports.input(to).measures) or None
+            row = {"to": str(to), "from": start, "map": None, "unit": unit, "conversion": None}
+            rows.append(row)
     return rows
-
-
-def _connection_row(
-    to: Port, connection: Connection, *, unit: str | None, conversion: str | None = None
-) -> Section:
-    gain = connection.matrix
-    expression = f"{gain.tolist()} v" if gain.ndim or gain != 1.0 else "v"
-    if connection.offset:
-        sign = "-" if connection.offset < 0.0 else "+"
-        expression += f" {sign} {abs(connection.offset)}"
-    return {
-        "to": str(to),
-        "from": connection.label,
-        "map": None if expression == "v" else expression,  # of the source's value v
-        "unit": unit,
-        "conversion": conversion,
-    }
 
 
 def _distinct(names: Iterable[str | None]) -> str:

@@ -174,6 +174,12 @@ def parts_beside_truth(
         yield time_ns[inside], own[inside], true[inside]
 
 
+def last_value(recording: Recording, port: str) -> Vector:
+    """Return a port at the last recorded row, shape (size,); NaN: there is no row."""
+    rows = rows_of(recording, port)
+    return rows[-1].copy() if len(rows) else np.full(rows.shape[1], np.nan)
+
+
 def last_row(recording: Recording, component: str) -> Vector | None:
     """Return the last row of a component: inputs, then outputs; None: it has none."""
     period_ns = ceil(recording.channels[component].period * recording.step_ns)

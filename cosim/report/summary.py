@@ -9,7 +9,7 @@ import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import chain
-from typing import Any
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
@@ -26,10 +26,15 @@ from cosim.report.recorded_rows import (
     element_names,
     lag_of,
     last_row,
+    last_value,
     parts_beside_truth,
-    rows_of,
 )
 from cosim.scenario import record
+
+ERROR: Final = " error"  # of a result, after the name of what it is of
+HALF_WIDTH: Final = " half-width"
+LARGEST_ERROR: Final = " largest error"
+ResultValue: TypeAlias = float | str | None
 
 
 @dataclass(frozen=True)
@@ -191,25 +196,23 @@ def summarize(recording: RecordedRun) -> Summary:
         since = 0.0
     judged = chain.from_iterable(one.parameters for one in identifications)
     unknown = {one.name for one in judged if one.value is None}  # nothing in the data depends on it
-    signals: list[SignalError] = []
+    signals = []
     values: list[ValueOutcome] = []
     for estimate, true in truth.items():
         ports = named_ports(true)
         if ports:
             signals.append(_signal_error(recording, estimate, ports, since))
         else:
-            values += _value_outcomes(
-                recording, estimate, np.array(true, np.float64, ndmin=1).tolist(), unknown
-            )
+            values += _value_outcomes(recording, estimate, np.atleast_1d(true).tolist(), unknown)
     changed_states: list[record.StateChange] = []
     for name, changes in record.recorded_state_changes(recording).items():
         changed_states += (replace(change, component=name) for change in changes)
     came_true = record.until_came_true(recording)
     substeps = record.recorded_substep_counts(recording)
-    window = record.recorded_window(recording)
+    start, _ = record.recorded_window(recording) or (record.recorded_start(recording), end)
     return Summary(
         scenario=run.get("scenario", ""),
-        start=record.recorded_start(recording) if window is None else window[0],
+        start=start,
         end=end,
         steps=recording.steps,
         status=recording.status,
@@ -292,8 +295,7 @@ def _value_outcomes(
     recording: Recording, estimate: str, truth: Sequence[float], unknown: Collection[str]
 ) -> Iterator[ValueOutcome]:
     """Yield the last values of an estimate; ``unknown`` have numbers that say nothing."""
-    rows = rows_of(recording, estimate)
-    last = rows[-1].tolist() if len(rows) else [math.nan] * len(truth)
+    last = last_value(recording, estimate).tolist()
     names = element_names(estimate, len(truth))
     for name, value, true in zip(names, last, truth, strict=True):
         if math.isnan(value) or name in unknown:
@@ -305,3 +307,43 @@ def _value_outcomes(
 def span(start: float, end: float) -> str:
     """Return the time of a run as text: its length, or both ends where it does not start at 0."""
     return f"{start:.12g} s to {end:.12g} s" if start else f"{end:.12g} s"
+
+
+def results_of(summary: Summary) -> dict[str, ResultValue]:
+    """Return what the result of a run says, by name.
+
+    * of every estimate with a truth, and every parameter of an identifier: its value at the end;
+      with ``error`` after its name the distance from the truth, with ``half-width`` half of the
+      95 % interval;
+    * of every identifier: ``verdict``, those of its parameters, the same ones once; ``noise``, the
+      deviation of the noise of y by the residual (of several outputs ``noise[0]``, ...);
+    * of every estimated signal: ``rms error`` and ``largest error``, from the start of the
+      identification on;
+    * without a truth: the last values of the outputs.
+    """
+    results: dict[str, ResultValue] = {}
+    for outcome in summary.values:
+        results[outcome.estimate] = outcome.value
+        results[f"{outcome.estimate}{ERROR}"] = outcome.error
+    for identification in summary.identifications:
+        name = identification.component
+        verdicts = dict.fromkeys(one.verdict for one in identification.parameters)
+        for parameter in identification.parameters:
+            results.setdefault(parameter.estimate, parameter.value)
+            results[f"{parameter.estimate}{HALF_WIDTH}"] = parameter.half_width
+        if verdicts:
+            results[f"{name} verdict"] = ", ".join(verdicts)
+        results |= _elements(f"{name} noise", identification.deviation)
+    for signal in summary.signals:
+        results[f"{signal.estimate} rms error"] = signal.rms
+        results[f"{signal.estimate}{LARGEST_ERROR}"] = signal.largest
+    for name, last in summary.last.items():
+        results |= _elements(name, last if isinstance(last, list) else [last])
+    return results
+
+
+def _elements(name: str, values: Sequence[float]) -> dict[str, ResultValue]:
+    """Return values by name; of several each has its number."""
+    if len(values) == 1:
+        return {name: values[0]}
+    return {f"{name}[{number}]": value for number, value in enumerate(values)}

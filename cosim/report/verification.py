@@ -20,7 +20,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from operator import attrgetter
-from typing import Any, Final, Literal, NamedTuple, TypeAlias
+from typing import Any, Final, Literal, TypeAlias, final
 
 from cosim.core.clock import nanoseconds
 from cosim.core.contracts import Design
@@ -33,15 +33,9 @@ from cosim.log.comparison.diff import diff
 from cosim.log.comparison.difference import ElementDifference, LogDifference, SignalDifference
 from cosim.log.contents.environment import environment_changes
 from cosim.report.statements import Contradiction, Statements
-from cosim.scenario.record import (
-    ReplayOrigin,
-    component_record,
-    recorded_substep_counts,
-    replay_origin,
-)
+from cosim.scenario.record import component_record, recorded_substep_counts, replay_origin
 from cosim.scenario.recordings.recorded_scenario import recorded_document
 
-_RECORDS: Final = "rows outside that window, records of the run"
 _MOST_SHOWN: Final = 8  # contradictions, or components
 _OF_PARTIAL_LOGS: Final = {
     "unrecorded": "not verified, as the partial log has no signals of",
@@ -78,74 +72,133 @@ class ComponentVerification:
     reason: str = ""
 
 
-class CopiedSubsteps(NamedTuple):
-    """The substeps of a loop that a replay took from the log, as it copied components of the loop.
-
-    Parameters
-    ----------
-    loop : tuple of str
-        All components.
-    copied : tuple of str
-        Those of them that were copied.
-    """
-
-    loop: tuple[str, ...]
-    copied: tuple[str, ...]
-
-
-@dataclass(frozen=True)
+@final
 class Verification:
-    """A log beside its replay.
+    """A log beside its replay, and the hash that its run recorded.
 
     Parameters
     ----------
+    source : Log
+    again : Log or Memory
+        Its replay.
+    difference : LogDifference
+        Of the log and its replay.
+    statements : Statements or None
+        What the log says of its run beside its rows; None: only a window was replayed.
+
+    Attributes
+    ----------
+    window : (float, float) or None
+        The part of the log that was compared [s]; None: all of it.
     recorded_hash : str or None
         Content hash that the run recorded; None: its log is unfinished.
     found_hash : str
         Of the rows in the log.
-    difference : LogDifference
-        Of the log and its replay.
     contradictions : tuple of Contradiction
         What the log says of its run and the replay does not.
+    statements, not_compared : str
+        What of that was compared, in words, and what was not.
     copied : tuple of str
         Signals that the replay took from the log: the outputs of recorded components.
     code : tuple of str
         Those of them that code of users computes, which was not allowed to run.
     left_out : tuple of str
         Those of them whose components could have been computed, but were not chosen.
-    substeps : tuple of CopiedSubsteps
-    scenario : str
-        Where the scenario came from.
-    components : tuple of ComponentVerification
+    substeps : list of dict
+        The loops whose substeps the replay took from the log, as it copied components of them:
+        all components of the ``loop``, and those that were ``copied``.
+    components : list of ComponentVerification
         All of the log, in its order.
     environment : mapping of name to (str, str)
         Versions, platform and processor that are others than the log's run had: the recorded one
         and the present one.
-    window : (float, float) or None
-        The part of the log that was compared [s]; None: all of it.
-    statements : str
-        What the log says of its run that was compared, in words.
-    not_compared : str
-        What of it was not.
-    is_changed : bool
-        Whether the scenario was changed for the replay.
+
+    Raises
+    ------
+    LogError
+        If the log has no content hash, or says what cannot be understood.
     """
 
-    recorded_hash: str | None
-    found_hash: str
-    difference: LogDifference
-    contradictions: tuple[Contradiction, ...]
-    copied: tuple[str, ...]
-    code: tuple[str, ...]
-    left_out: tuple[str, ...]
-    substeps: tuple[CopiedSubsteps, ...]
-    scenario: str
-    components: tuple[ComponentVerification, ...]
-    environment: Mapping[str, tuple[str, str]]
-    window: tuple[float, float] | None = None
-    statements: str = ""
-    not_compared: str = _RECORDS
-    is_changed: bool = False
+    def __init__(
+        self,
+        source: Log,
+        again: Log | Memory,
+        difference: LogDifference,
+        statements: Statements | None,
+    ) -> None:
+        self.source = source
+        self._again = again
+        self._origin = replay_origin(again)
+        self.window = self._origin.window
+        self.recorded_hash = _recorded_hash(source)
+        self.found_hash = source.content_hash()
+        self.difference = difference
+        self.contradictions: tuple[Contradiction, ...] = ()
+        self.statements = ""
+        self.not_compared = "rows outside that window, records of the run"
+        if statements is not None:
+            self.contradictions = tuple(statements.contradictions())
+            self.statements = str(statements)
+            self.not_compared = statements.not_compared
+        self._find_copied()
+        self.components = list(self._components())
+        self.environment = environment_changes(source)
+
+    def _find_copied(self) -> None:
+        """Set what the replay took from the log."""
+        origin = self._origin
+        known = declared_channels(self._again.channels)
+        self.copied: tuple[str, ...] = ()
+        self.code: tuple[str, ...] = ()
+        self.left_out: tuple[str, ...] = ()
+        for name in origin.copied:
+            outputs = (f"{name}.{signal.name}" for signal in known[name].interface.outputs)
+            signals = tuple(signal for signal in outputs if signal in self.source)
+            self.copied += signals
+            if name in origin.left_out:
+                self.left_out += signals
+            elif component_record(self._again, name).code is not None:
+                self.code += signals
+        self.substeps = []
+        for counts in recorded_substep_counts(self._again):
+            inside = [name for name in counts.components if name in origin.copied]
+            if inside:
+                self.substeps.append({"loop": list(counts.components), "copied": inside})
+
+    def _components(self) -> Iterator[ComponentVerification]:
+        """Yield what is proven of every component."""
+        rows_of: dict[str, list[SignalDifference]]
+        rows_of = {name: [] for name in declared_channels(self.source.channels)}
+        for row in self.difference.rows:
+            rows_of.setdefault(row.signal.partition(".")[0], []).append(row)
+        for name, rows in rows_of.items():
+            elements = [row.first for row in rows if row.first is not None]
+            first = min(elements, key=attrgetter("time_ns"), default=None)
+            status, reason = self._proven(name)
+            if any(row.status != "equal" for row in rows):
+                status = "differs"
+            yield ComponentVerification(name, status, first, reason)
+
+    def _proven(self, name: str) -> tuple[VerificationStatus, str]:
+        """Return what is proven of a component that does not differ, and why it is not all."""
+        source, origin = self.source, self._origin
+        if name in origin.absent:
+            return "absent", origin.absent[name]
+        if name in origin.left_out:
+            return "copied", "not chosen"
+        if name in origin.copied:
+            code = component_record(self._again, name).code
+            why = "a replay takes plants, FMUs and files from the log"
+            if code is not None:
+                why = f"{flag('allow_code')} runs {code.class_name}"
+            return "copied", origin.uncomputed.get(name, why)
+        if source.partial is None or is_recorded_whole(source.channels, name):
+            return "equal", ""
+        if name not in source.channels:
+            return "unrecorded", "no signal in the log"
+        missing = source.partial.missing(source.channels).get(name)
+        period = source.channels[name].period
+        return "partial", f"without {listing(missing)}" if missing else f"one row in {period} steps"
 
     @property
     def passed(self) -> bool:
@@ -161,8 +214,7 @@ class Verification:
     @property
     def computed(self) -> tuple[str, ...]:
         """Signals that were computed again: outputs, and inputs by their connections."""
-        copied = set(self.copied)
-        return tuple(row.signal for row in self.difference.rows if row.signal not in copied)
+        return tuple(row.signal for row in self.difference.rows if row.signal not in self.copied)
 
     @property
     def lines(self) -> list[str]:
@@ -201,10 +253,11 @@ class Verification:
             yield f"not verified, as not chosen: {', '.join(self.left_out)}"
         others = [name for name in self.copied if name not in (*self.code, *self.left_out)]
         if others:
+            name = recorded_document(self.source).source
             yield (
                 f"taken from the log, not recomputed: {', '.join(others)}; {flag('rerun')} "
                 f"recomputes plants, with {flag('allow_code')} also FMUs; to recompute everything, "
-                f"run {self.scenario!r} with the same changes and compare with {command('diff')}"
+                f"run {name!r} with the same changes and compare with {command('diff')}"
             )
         for status, text in _OF_PARTIAL_LOGS.items():
             named = [
@@ -214,7 +267,8 @@ class Verification:
             ]
             if named:
                 yield f"{text}: {', '.join(named)}"
-        for loop, copied in self.substeps:
+        for one in self.substeps:
+            loop, copied = one["loop"], one["copied"]
             others_too = "; its other outputs were compared" if len(copied) < len(loop) else ""
             yield (
                 f"taken from the log, not recomputed: the substeps of the loop of {listing(loop)} "
@@ -249,7 +303,7 @@ class Verification:
                 place = f"; first: {events.first.signal} at t = {events.first.time_ns / 1e9} s"
             problems.append(f"the events of the replay differ from those of the log{place}")
         what = "the log contradicts its scenario"
-        if self.is_changed:
+        if _edits(self._again) != _edits(self.source):
             what = "the log differs from the replay with a changed scenario"
         return problems + _shown(what, self.contradictions)
 
@@ -264,13 +318,13 @@ class Verification:
             },
             "window": None if self.window is None else list(self.window),
             **{key: list(getattr(self, key)) for key in ("computed", "copied", "code", "left_out")},
-            "components": [plain(entry) for entry in self.components],
+            "components": list(map(plain, self.components)),
             "environment": {
                 name: {"recorded": recorded, "present": present}
                 for name, (recorded, present) in self.environment.items()
             },
-            "substeps_copied": [copied._asdict() for copied in self.substeps],
-            "contradictions": [asdict(entry) for entry in self.contradictions],
+            "substeps_copied": self.substeps,
+            "contradictions": list(map(asdict, self.contradictions)),
             **self.difference.to_dict(),
         }
 
@@ -311,9 +365,7 @@ def verify(
         If the replay was asked to record less than the log has.
     """
     _check_selection(source, again)
-    origin = replay_origin(again)
-    known = declared_channels(again.channels)
-    window = origin.window
+    window = replay_origin(again).window
     statements = None if window else Statements(source, again, designs)
     shared = [] if source.partial is None else [name for name in source if name in again.signals]
     if source.partial is not None and not shared:
@@ -323,73 +375,7 @@ def verify(
         )
     span_ns = None if window is None else (nanoseconds(window[0]), nanoseconds(window[1]))
     difference = diff(source, again, signals=shared, span_ns=span_ns)
-    substeps = []
-    for counts in recorded_substep_counts(again):
-        inside = tuple(name for name in counts.components if name in origin.copied)
-        if inside:
-            substeps.append(CopiedSubsteps(counts.components, inside))
-    copied: dict[str, str] = {}  # signals, and their components
-    for name in origin.copied:
-        signals = [f"{name}.{signal.name}" for signal in known[name].interface.outputs]
-        copied |= {signal: name for signal in signals if signal in source}
-    with_code = [n for n in origin.copied if component_record(again, n).code is not None]
-    code = set(with_code).difference(origin.left_out)
-    return Verification(
-        recorded_hash=_recorded_hash(source),
-        found_hash=source.content_hash(),
-        difference=difference,
-        contradictions=tuple(statements.contradictions() if statements else ()),
-        copied=tuple(copied),
-        code=tuple(signal for signal, name in copied.items() if name in code),
-        left_out=tuple(signal for signal, name in copied.items() if name in origin.left_out),
-        substeps=tuple(substeps),
-        scenario=recorded_document(source).source,
-        components=tuple(_components(source, again, difference, origin)),
-        environment=environment_changes(source),
-        window=window,
-        statements=str(statements or ""),
-        not_compared=statements.not_compared if statements else _RECORDS,
-        is_changed=_edits(again) != _edits(source),
-    )
-
-
-def _components(
-    source: Log, again: Log | Memory, difference: LogDifference, origin: ReplayOrigin
-) -> Iterator[ComponentVerification]:
-    """Yield what is proven of every component."""
-    rows_of: dict[str, list[SignalDifference]] = {n: [] for n in declared_channels(source.channels)}
-    for row in difference.rows:
-        rows_of.setdefault(row.signal.partition(".")[0], []).append(row)
-    for name, rows in rows_of.items():
-        elements = [row.first for row in rows if row.first is not None]
-        first = min(elements, key=attrgetter("time_ns"), default=None)
-        status, reason = _proven(source, again, origin, name)
-        if any(row.status != "equal" for row in rows):
-            status = "differs"
-        yield ComponentVerification(name, status, first, reason)
-
-
-def _proven(
-    source: Log, again: Log | Memory, origin: ReplayOrigin, name: str
-) -> tuple[VerificationStatus, str]:
-    """Return what is proven of a component that does not differ, and why it is not all."""
-    if name in origin.absent:
-        return "absent", origin.absent[name]
-    if name in origin.left_out:
-        return "copied", "not chosen"
-    if name in origin.copied:
-        code = component_record(again, name).code
-        why = "a replay takes plants, FMUs and files from the log"
-        if code is not None:
-            why = f"{flag('allow_code')} runs {code.class_name}"
-        return "copied", origin.uncomputed.get(name, why)
-    if source.partial is None or is_recorded_whole(source.channels, name):
-        return "equal", ""
-    if name not in source.channels:
-        return "unrecorded", "no signal in the log"
-    missing = source.partial.missing(source.channels).get(name)
-    period = source.channels[name].period
-    return "partial", f"without {listing(missing)}" if missing else f"one row in {period} steps"
+    return Verification(source, again, difference, statements)
 
 
 def _recorded_hash(source: Log) -> str | None:

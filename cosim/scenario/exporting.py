@@ -22,9 +22,8 @@ from cosim.fmi.exporting.export import export
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.exporting.specifications import Exportable
 from cosim.scenario.building.build import Builder
-from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.kinds import KINDS, ExportableKind
-from cosim.scenario.kinds.base import BuildContext, clock_of
+from cosim.scenario.kinds.base import BuildContext, Scenario
 from cosim.scenario.kinds.plants import DescriptorKind
 from cosim.scenario.running.execution import load
 
@@ -62,7 +61,7 @@ def export_component(
     """
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
     # whose times are on its grid, whatever the component takes of them
-    clock_of(loaded.file.scenario)
+    _ = loaded.file.scenario.clock
     out = out or Path("fmus") / f"{loaded.name}-{component}.fmu"
     check_fmu_to_write(out, force=force)
     if component not in loaded.specs:

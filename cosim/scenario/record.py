@@ -12,7 +12,7 @@ from dataclasses import field
 from typing import Annotated, Any, Final, Literal, TypeAlias, TypeVar
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from cosim.arrays import Matrix
 from cosim.core.gain.loop_gain import LoopGain
@@ -45,15 +45,6 @@ _TIMES: Final = ("T_obs", "T_f", "D_max", "T_id")
 _Numbers: TypeAlias = tuple[float, ...]
 PortVerdict: TypeAlias = Literal["ok", "unknown", "differs", "error"]
 SAME_SIZE: Final = 10.0  # factor up to which two numbers are of one size
-# older logs have the number, or the row, of their one output
-_OneAnOutput = Annotated[
-    _Numbers, Field(strict=False), BeforeValidator(lambda v: v if isinstance(v, list) else [v])
-]
-_RowAnOutput = Annotated[
-    tuple[Annotated[_Numbers, Field(strict=False)], ...],
-    Field(strict=False),
-    BeforeValidator(lambda v: [v] if _is_row(v) else v),
-]
 _Kind = TypeVar("_Kind")
 
 
@@ -365,11 +356,11 @@ class IdentifierVerdicts:
 
     parameters: tuple[ParameterVerdict, ...] = ()
     correlation: tuple[tuple[float, ...], ...] = ()
-    deviation: _OneAnOutput = ()
-    accuracy: _OneAnOutput = ()
+    deviation: _Numbers = ()
+    accuracy: _Numbers = ()
     degrees_of_freedom: float | None = None
     is_exact: bool = False
-    noise_model: _RowAnOutput = ()
+    noise_model: tuple[_Numbers, ...] = ()
     tests: tuple[Mapping[str, Any], ...] = ()
     extent: str = told("")
     amplitudes: tuple[tuple[ParameterVerdict, ...], ...] = ()
@@ -648,10 +639,6 @@ def truth_of(recording: Recording) -> dict[str, Any]:
         ):
             kept[estimate] = truth
     return kept
-
-
-def _is_row(value: object) -> bool:
-    return isinstance(value, list) and value != [] and not isinstance(value[0], list)
 
 
 def _of_run(recording: Recording, key: str, kind: type[_Kind]) -> _Kind | None:

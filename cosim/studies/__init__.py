@@ -14,5 +14,6 @@
     layout, statistics, sensitivity      what members come to together
     search, standard_errors, residual    searches whose trials are members, and how sure they are
     tuning, tuning_result                ``cosim.tune``
+    sweeping                             ``cosim.replay_sweep``: replays of one log, in a grid
     show, panels, plots                  tables, JSON, pictures
 """

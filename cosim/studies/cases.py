@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from cosim.errors import UsageError
 from cosim.files import file_type
 from cosim.log.conversion.parquet import need_pyarrow
-from cosim.scenario.data_files.tables import read_texts
+from cosim.scenario.data_files.text_table import read_texts
 from cosim.scenario.document.document import parse_value, plain
 from cosim.studies.contracts import RECORDING, SWAP
 from cosim.studies.study_file import absolute, varied_key
@@ -45,11 +45,7 @@ def read_cases(path: Path) -> dict[str, NDArray[Any]]:
         raise UsageError(
             f"cases: expected a path that ends in .csv, .txt, .xlsx or .parquet, got {str(path)!r}"
         )
-    if suffix == ".parquet":
-        columns = _of_parquet(path, file)
-    else:
-        table = read_texts(path)
-        columns = [(header.text, table.texts(header.position)) for header in table.headers]
+    columns = _of_parquet(path, file) if suffix == ".parquet" else read_texts(path)
     if not columns or not len(columns[0][1]):
         raise UsageError(f"{file} has no rows; expected a header line of keys and a row per case")
     found: dict[str, NDArray[Any]] = {}

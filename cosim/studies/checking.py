@@ -22,8 +22,8 @@ from cosim.errors import UsageError, command, listing, option, quoted
 from cosim.files import file_type
 from cosim.log.foreign.topics import is_foreign
 from cosim.log.reading.reader import open_log
-from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.document import Document
+from cosim.scenario.kinds.base import Scenario
 from cosim.scenario.recordings.recorded_scenario import recorded_document
 from cosim.scenario.recordings.replaying import texts_in
 from cosim.studies.contracts import RECORDING, SWAP, MemberOutcome, StudyMember, member_of
@@ -286,7 +286,7 @@ def check_is_of_scenario(path: str, scenario: Scenario) -> None:
 
 
 def _tables(document: Document) -> dict[str, Any]:
-    tree, _ = replace(document, swaps={}, maps={}, changes={}).tree()
+    tree = replace(document, swaps={}, maps={}, changes={}).tables().tree
     return {name: table for name, table in tree.items() if name != STUDY}
 
 

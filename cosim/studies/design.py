@@ -22,15 +22,10 @@ from numpy.typing import NDArray
 from cosim.arrays import Matrix, Vector
 from cosim.errors import UsageError, option, quoted
 from cosim.files import file_type
-from cosim.scenario.building.parsing import Scenario
-from cosim.scenario.document.document import (
-    ACTIONS,
-    COMPONENTS,
-    component_in,
-    parts_of,
-    short,
-)
+from cosim.scenario.document.document import component_in, parts_of, short
 from cosim.scenario.document.places import PORTS
+from cosim.scenario.document.schema import ACTIONS, COMPONENTS
+from cosim.scenario.kinds.base import Scenario
 from cosim.scenario.recordings.replaying import texts_in
 from cosim.studies.cases import packed, read_cases
 from cosim.studies.contracts import MOST_MEMBERS, RECORDING, SWAP, StudyMember, member_of
@@ -133,7 +128,8 @@ def plan_design(study: StudyFile, scenario: Scenario) -> StudyDesign:
     sources: dict[str, str] = {}
     if settings.seeds is not None:
         sources = _noise_sources(edited, {key for key, _ in given})
-    _check_keys(study, [*given, *((key, "of the seeds") for key in sources)])
+    given += [(key, "of the seeds") for key in sources]
+    check_keys(given, [*settings.set, *(f"{SWAP}{name}" for name in settings.swap)])
 
     layout = _layout(study, grid, [*sources], cases)
     columns = {}
@@ -210,11 +206,23 @@ def _check_sampling(study: StudyFile) -> None:
         raise UsageError(f"expected either {option('cases')} or distributions ({key!r}), got both")
 
 
-def _check_keys(study: StudyFile, varied: Iterable[tuple[str, str]]) -> None:
-    """Check that no key is given twice, or inside another one; each has where it comes from."""
+def check_keys(varied: Iterable[tuple[str, str]], common: Iterable[str]) -> None:
+    """Check that no key is given twice, or inside another one.
+
+    Parameters
+    ----------
+    varied : iterable of (key, how)
+        How it is varied, in a word.
+    common : iterable of str
+        Keys of what all members have.
+
+    Raises
+    ------
+    UsageError
+        If one is; names both.
+    """
     given = [(parts_of(name), how, name) for name, how in varied]
-    given += [(parts_of(short(key)), "set", short(key)) for key in study.settings.set]
-    given += [(parts_of(f"{SWAP}{name}"), "set", f"{SWAP}{name}") for name in study.settings.swap]
+    given += [(parts_of(short(key)), "set", short(key)) for key in common]
     given.sort(key=lambda item: item[0])
     for (one, how, first), (other, again, second) in pairwise(given):
         is_inside = other[: len(one)] == one and how != "set"

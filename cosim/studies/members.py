@@ -26,10 +26,11 @@ from cosim.fmi.unpacked import UnpackedFmus
 from cosim.log.editing.spans import open_joined
 from cosim.log.foreign.topics import is_foreign
 from cosim.log.mcap_file.rotation import part_paths
-from cosim.report.comparing import results_of
-from cosim.report.summary import summarize
+from cosim.report.summary import results_of, summarize
 from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.kinds.build_record import Resources
 from cosim.scenario.recordings.recording import Target, build_experiment, record, run_rows
+from cosim.scenario.recordings.replay_request import ReplayRequest
 from cosim.scenario.running.replay import replays_of
 from cosim.studies.contracts import (
     COMPLETE,
@@ -159,7 +160,7 @@ class OpenedSubject:
         self, member: StudyMember, out: Path | None, measured: _Measured
     ) -> dict[str, MetricValue]:
         """Run a member; return its results, where they are wanted."""
-        with ExitStack() as resources:
+        with Resources(self._fmus) as resources:
             experiment = self._experiment(member, resources)
             read = self._read(experiment, member)
             self._check(read)
@@ -181,7 +182,7 @@ class OpenedSubject:
     def inspect(self, member: StudyMember) -> MemberSources:
         """Build a member; return what it is made of."""
         try:
-            with ExitStack() as resources:
+            with Resources(self._fmus) as resources:
                 experiment = self._experiment(member, resources)
                 self._metrics.check({c.name: c for c in experiment.graph.layout.channels})
                 if experiment.plan is None:
@@ -201,16 +202,16 @@ class OpenedSubject:
         if member.recording is None:
             scenario = self._scenario.edit(swap=swaps, map=subject.map, set=values)
             reports = self._compared(tuple(swaps.items())) if scenario.file.swap else None
-            return build_experiment(scenario, resources, unpacked=self._fmus, reports=reports)
+            return build_experiment(scenario, resources, reports)
         is_own = not is_foreign(Path(member.recording))
-        replays = replays_of(
-            self._log(member.recording) if is_own else member.recording,
+        request = ReplayRequest(
             swap=swaps,
             map=subject.map,
             allow_code=subject.allow_code,
             scenario=None if is_own else self._scenario,
         )
-        return replays.experiment(values, resources, self._fmus)
+        replays = replays_of(self._log(member.recording) if is_own else member.recording, request)
+        return replays.experiment(values, resources)
 
     def _compare(self, swaps: tuple[tuple[str, str], ...]) -> SwapReports | None:
         """Compare swaps without what is varied beside them; None: they are refused without it."""

@@ -20,8 +20,8 @@ from cosim.log.contents.environment import environment
 from cosim.log.contents.metadata import read_json
 from cosim.log.foreign.topics import is_foreign
 from cosim.log.mcap_file.rotation import part_paths
-from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.document import parse_value
+from cosim.scenario.kinds.base import Scenario
 from cosim.scenario.recordings.replaying import texts_in
 from cosim.studies.checking import Inspected, check_design
 from cosim.studies.contracts import MemberOutcome, MetricValue, StudyMember, StudySubject
@@ -165,7 +165,7 @@ def plan_members(
     settings, subject = study.settings, study.subject
     texts = design.texts() | texts_in([dict(subject.set), dict(subject.swap)])
     if settings.replay is None:
-        for tree in (scenario.tree, scenario.document.unswapped().tree()[0]):
+        for tree in (scenario.tree, scenario.document.unswapped().tables().tree):
             texts |= texts_in({name: table for name, table in tree.items() if name != STUDY})
     named = _named_files(texts, scenario.document.folder)
     checked = check_design(design, scenario)

@@ -11,7 +11,7 @@ times the samples is tested. Where they are not, or rest on samples that are not
 those of a table, nothing is known of their errors.
 
 Where the samples have structure, as a wrong model leaves it, no interval holds
-(:mod:`cosim.scenario.kinds.identified_plant`). Where they are colored noise, N samples say as much
+(:mod:`cosim.scenario.recordings.verdicts`). Where they are colored noise, N samples say as much
 as N over its largest power at a frequency, relative to white noise: that is so for parameters whose
 effect is at that frequency, and for all others there is more. So it is where one sample follows the
 last one, too, as noise does that passes a filter of first order.
@@ -277,7 +277,7 @@ class ResidualCheck:
 
 def check_residual(residual: SampledResidual) -> ResidualCheck | None:
     """Return what noise a residual is; None: it has hardly any rows, or is no noise at all."""
-    from cosim.scenario.kinds.identified_plant import residual_noise
+    from cosim.scenario.recordings.verdicts import residual_noise
 
     rows, samples = residual.rows, residual.samples.size
     if residual.problem:

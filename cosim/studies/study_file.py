@@ -22,9 +22,8 @@ from cosim.errors import UsageError, nearest, option, quoted
 from cosim.files import expanded, file_type
 from cosim.log.foreign.topics import is_foreign
 from cosim.log.reading.reader import open_log
-from cosim.scenario.building.parsing import Scenario, read
+from cosim.scenario.building.build import read
 from cosim.scenario.document.document import (
-    COMPONENTS,
     Document,
     find,
     plain,
@@ -34,6 +33,7 @@ from cosim.scenario.document.document import (
 from cosim.scenario.document.places import Key, Problem, report
 from cosim.scenario.document.problems import TableProblems, problems_of
 from cosim.scenario.document.schema import (
+    COMPONENTS,
     LARGEST_SEED,
     Flag,
     Number,
@@ -41,6 +41,7 @@ from cosim.scenario.document.schema import (
     Whole,
 )
 from cosim.scenario.document.schema import Name as NameOfStudy
+from cosim.scenario.kinds.base import Scenario
 from cosim.scenario.recordings.recorded_scenario import recorded_document
 from cosim.scenario.running.execution import load
 from cosim.studies.contracts import SWAP, StudySubject
@@ -411,9 +412,9 @@ def load_scenario(scenario: str) -> Scenario:
 
 
 def _read_recorded(document: Document) -> Scenario:
-    scenario, problems = read(document, _read_recorded)
-    if problems:
-        raise document.report(problems)
+    scenario = replace(read(document), parse=_read_recorded)
+    if scenario.problems:
+        raise document.report(scenario.problems)
     return scenario
 
 
@@ -431,7 +432,7 @@ def read_study(name: str | Path) -> StudyFile:
             {STUDY: {"scenario": path, "replay": [path]}}, path, load_scenario(path).name
         )
     document = find(name)
-    tree, _ = document.tree()
+    tree = document.tables().tree
     own = tree.get("scenario")
     is_inside = "components" in tree or isinstance(own, Mapping)
     tables = {STUDY: tree.get(STUDY, {})} if is_inside else dict(tree)

@@ -2,54 +2,13 @@
 
 import inspect
 import re
-from pathlib import Path
-from typing import get_args
 
 import pytest
-import typer
 
 import cosim
 from cosim.cli.app import COMMANDS
-from cosim.cli.command import Given, command, read_ranges, read_sweep
+from cosim.cli.command import read_ranges, read_variations
 from cosim.errors import UsageError, shell_language
-
-
-def parameters(table):
-    """Return what a command has: name, default, type, flags or metavar of an argument."""
-    made = inspect.signature(command(table)(lambda given: None)).parameters
-    found = {}
-    for name, parameter in list(made.items())[1:]:  # the context of typer is the first one
-        taken, shown = get_args(parameter.annotation)
-        spelled = shown.metavar
-        if isinstance(shown, typer.models.OptionInfo):
-            spelled = (shown.default, *shown.param_decls, shown.metavar)
-        default = ... if parameter.default is parameter.empty else parameter.default
-        found[name] = (default, taken, spelled)
-    return found
-
-
-def test_a_table_is_read_as_it_is_described():
-    """Every form of a key, in the order of the table."""
-    forms = {
-        "--json": ("json", (False, bool, ("--json", None))),
-        "--quiet -q": ("quiet", (False, bool, ("--quiet", "-q", None))),
-        "--dry-run/--no-dry-run : bool = True": (
-            "dry_run",
-            (True, bool, ("--dry-run/--no-dry-run", None)),
-        ),
-        "--out -o PATH : Path": ("out", (None, Path | None, ("--out", "-o", "PATH"))),
-        "--worst : int = 3": ("worst", (3, int, ("--worst", None))),
-        "--set A.B=C : edits": ("set", (None, list[str] | None, ("--set", "A.B=C"))),
-        "--from T : float": ("from_", (None, float | None, ("--from", "T"))),
-        "--component NAME : str = ...": ("component", (..., str, ("--component", "NAME"))),
-        "log LOG : Path": ("log", (..., Path, "LOG")),
-        "signals [SIGNAL]... : list[str] = None": (
-            "signals",
-            (None, list[str] | None, "[SIGNAL]..."),
-        ),
-    }
-    found = parameters(dict.fromkeys(forms, ""))
-    assert list(found.items()) == list(forms.values())
 
 
 def commands():
@@ -112,14 +71,9 @@ def _names(text):
     return [*read, *handed_on]
 
 
-def test_some_values_are_handed_on():
-    """By name, and no others."""
-    assert Given(a=1, b=2, c=3).only("a c") == {"a": 1, "c": 3}
-
-
 def test_values_are_toml_where_they_can_be():
     """Those of --set and --vary; ranges of a tuning are linear unless they say otherwise."""
-    found = read_sweep(["a.x = 1e3, 2", "a.kind=sine,step", "a.L=[[1.0]],[[2.0]]"], "vary")
+    found = read_variations(["a.x = 1e3, 2", "a.kind=sine,step", "a.L=[[1.0]],[[2.0]]"], "vary")
     assert found == {"a.x": [1e3, 2], "a.kind": ["sine", "step"], "a.L": [[[1.0]], [[2.0]]]}
     found = read_ranges(["a.x=0:1", "a.y=log:1:2", "a.z=linear:1:2", "a=[a.fmu,b.fmu]"], "vary")
     assert found == {
@@ -143,4 +97,4 @@ def test_values_are_toml_where_they_can_be():
 def test_wrong_values_are_refused(texts, message):
     """The message names the key."""
     with shell_language(), pytest.raises(UsageError, match=message):
-        read_sweep(texts, "vary")
+        read_variations(texts, "vary")

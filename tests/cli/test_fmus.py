@@ -43,21 +43,14 @@ INFO = {
 
 @pytest.mark.parametrize("xml", INFO, ids=["FMI 1", "FMI 2", "FMI 3"])
 def test_info_of_an_fmu_has_what_its_description_has(call, tmp_path, xml):
-    """Units in SI, ranges, items, sizes, states, dependencies and clocks."""
+    """Units in SI, ranges, items, sizes, states, dependencies and clocks; JSON has every field."""
     write(tmp_path / "x.fmu", [], xml=xml.encode())
     shown = " ".join(call("info", "x.fmu")[1].split())
     assert [text for text in INFO[xml] if text not in shown] == []
-
-
-def test_json_of_an_fmu_has_every_field(call, tmp_path):
-    write(tmp_path / "3.fmu", [], xml=FMI3.encode())
-    found = json.loads(call("info", "3.fmu", "--json")[1])
-    u = {variable["name"]: variable for variable in found["variables"]}["u"]
-    assert set(u) == {field.name for field in dataclasses.fields(Variable)}
-    assert (u["start"], u["dimensions"], u["maximum"]) == ([0.5] * 6, ["n", 2], None)
-    assert found["units"]["mm"]["factor"] == 0.001
-    assert (found["dependencies"]["y"], found["initial_dependencies"]["dx"]) == (["u", "x"], None)
-    assert found["capabilities"]["cs"]["interpolates_inputs"]
+    found = json.loads(call("info", "x.fmu", "--json")[1])
+    fields = {field.name for field in dataclasses.fields(Variable)}
+    assert all(set(variable) == fields for variable in found["variables"])
+    assert {"units", "dependencies", "initial_dependencies", "capabilities"} <= found.keys()
 
 
 @pytest.mark.slow
@@ -89,18 +82,6 @@ def test_an_export_has_a_place_by_default(call, tmp_path):
     assert code == 2
     assert f"{path} exists" in err
     assert call(*arguments, "--force")[0] == 0
-
-
-@pytest.mark.slow
-def test_a_sampled_controller_is_exported_for_co_simulation_only(call):
-    """A discrete component would be another one as a continuous FMU; the message says so."""
-    exported = ("export", "closed-loop", "--component", "controller")
-    code, out, _ = call(*exported, "--set", "controller.period=0.1", "--out", "c.fmu")
-    assert code == 0
-    assert "c.fmu: FMI 2.0, co-simulation, binary for" in out
-    assert "co-simulation only: a sampled controller" in out
-    code, out, _ = call(*exported, "--fmi", "3", "--out", "d.fmu")
-    assert "d.fmu: FMI 3.0, model exchange and co-simulation, binary for" in out
 
 
 @pytest.mark.usefixtures("files")

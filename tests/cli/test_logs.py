@@ -24,7 +24,6 @@ from tests.log.recordings import blocks, layout, plan, record, table
     [
         ("a.mcap", "run", "content hash\t"),
         ("closed-loop", "connections", "gauss-seidel controller plant observer"),
-        ("plant.fmu", "variables", "der(x_a[0])"),
         ("field.mcap", "fields", "/drive/state.position\t"),
     ],
 )
@@ -42,40 +41,24 @@ def test_info_says_what_is_recorded_of_what(call):
     lines = call("info", "part.mcap")[1].splitlines()
     assert {"partial", "of signals\t24"} <= set(lines)
     about = json.loads(call("info", "part.mcap", "--json")[1])["partial"]
-    missing = about.pop("not recorded")
-    assert about == {
-        "signals": ["plant.*", "observer.delta"],
-        "every": 10,
-        "recorded signals": 6,
-        "of signals": 24,
-        "recorded components": 2,
-        "of components": 6,
-    }
-    assert missing["u"] == ["y"]
-    assert "plant" not in missing
+    assert (about["signals"], about["every"]) == (["plant.*", "observer.delta"], 10)
+    assert (about["recorded signals"], about["of components"]) == (6, 6)
+    assert about["not recorded"].keys() == {"u", "delta", "observer", "regressor", "identifier"}
     assert "partial" not in json.loads(call("info", "a.mcap", "--json")[1])
 
 
-@pytest.fixture
-def overridden(tmp_path):
-    """Write two logs of six overrides each, with other values."""
+def test_overrides_are_shown_and_compared(call, tmp_path):
+    """How many, the first ten of them, and where two logs first differ in them."""
     for name, value in (("a", 0.3), ("b", 0.4)):
-        loaded = cosim.load("academic").set({"scenario.stop": 0.02})
-        with loaded.start(out=tmp_path / f"{name}.mcap") as sim:
+        with cosim.load("academic").start(out=tmp_path / f"{name}.mcap") as sim:
             for _ in range(6):
                 sim.step()
                 sim["plant.u"] = value
                 sim.step()
                 sim.release("plant.u")
-
-
-@pytest.mark.usefixtures("overridden")
-def test_overrides_are_shown_and_compared(call):
-    """How many, the first ten of them, and where two logs first differ in them."""
     out = call("info", "a.mcap")[1]
     assert "override 6, follow " in out
-    assert "0.001\tplant.u\toverride\t0.3" in out.splitlines()
-    assert "not shown\t2" in out.splitlines()
+    assert {"0.001\tplant.u\toverride\t0.3", "not shown\t2"} <= set(out.splitlines())
     assert len(json.loads(call("info", "a.mcap", "--json")[1])["overrides"]) == 10
     code, out, _ = call("diff", "a.mcap", "b.mcap", "plant.u")
     assert code == 1
@@ -83,14 +66,9 @@ def test_overrides_are_shown_and_compared(call):
         "events: 12 in a, 12 in b: 6 of 12 jumps differ; first plant.u at 0.001 s: override 0.3, "
         "override 0.4"
     )
-    for b, options, said in [
-        ("a.mcap", ("plant.u",), "12 in b: equal"),
-        ("b.mcap", ("plant.u", "--atol", "0.2"), "12 in b: within the tolerance"),
-    ]:
-        code, out, _ = call("diff", "a.mcap", b, *options)
-        assert code == 0
-        assert said in out
-    assert "events" not in call("diff", "a.mcap", "b.mcap", "plant.delta")[1]
+    code, out, _ = call("diff", "a.mcap", "b.mcap", "plant.u", "--atol", "0.2")
+    assert code == 0
+    assert "12 in b: within the tolerance" in out
 
 
 # --- the hash of what they contain ---
@@ -136,15 +114,11 @@ def test_a_changed_value_is_said_and_exits_with_1(call, tmp_path, rows):
     differ = [name for name, digest in known["signals"].items() if shown["signals"][name] != digest]
     assert differ == ["plant.x_a"]
     assert "signals" not in json.loads(call("hash", "rows.mcap", "--json")[1])
-
-
-def test_a_log_without_a_recorded_hash_is_said_to_have_none(call, tmp_path, rows):
-    """Another tool may leave it out; there is nothing that it could differ from."""
-    recorded = cosim.open_log("rows.mcap").recorded_hash
+    # another tool may leave it out; there is nothing that it could differ from
     rows.metadata = [item for item in rows.metadata if item[0] != "cosim.result"]
-    put_together(rows, tmp_path / "b.mcap")
-    said = "b.mcap: no content hash was recorded\n"
-    assert call("hash", "b.mcap") == (0, f"{recorded}  b.mcap\n", said)
+    put_together(rows, tmp_path / "c.mcap")
+    said = "c.mcap: no content hash was recorded\n"
+    assert call("hash", "c.mcap") == (0, f"{shown['content_hash']}  c.mcap\n", said)
 
 
 # --- how they differ ---
@@ -165,9 +139,7 @@ def pair(tmp_path):
     ("options", "code", "cells"),
     [
         ("", 1, ["outside", "1"]),
-        ("--atol 0.1", 1, ["outside", "1"]),
         ("--atol 10", 0, ["within", "1"]),
-        ("--atol 0.01 --tol plant.u=1.5", 0, ["within", "1.5", "1"]),
         ("--tol *=1e-2 --tol plant.u=1.5", 0, ["within", "1.5", "1"]),
     ],
 )
@@ -178,19 +150,6 @@ def test_tolerances_decide_the_exit_code_of_diff(call, options, code, cells):
     header, first = (line.split("\t") for line in out.splitlines()[:2])
     assert ("tolerance" in header) == ("--tol" in options)
     assert first[: 1 + len(cells)] == ["plant.u", *cells]
-
-
-@pytest.mark.usefixtures("pair")
-def test_diff_compares_only_the_signals_given(call):
-    """Elements too, in that order; the JSON has the tolerances."""
-    code, out, _ = call("diff", "a.mcap", "b.mcap", "plant.n")
-    assert code == 0
-    assert "plant.u" not in out
-    names = ("plant.x_a[1]", "plant.n")
-    code, out, _ = call("diff", "a.mcap", "b.mcap", *names, "--tol", "plant.*=1.5", "--json")
-    shown = json.loads(out)
-    assert (code, shown["within"], shown["tol"]) == (0, True, {"plant.*": 1.5})
-    assert [row["signal"] for row in shown["signals"]] == list(names)
 
 
 @pytest.mark.usefixtures("pair")
@@ -301,20 +260,14 @@ def test_following_ends_without_a_word(following, code):
 # --- logs from logs ---
 
 
-@pytest.fixture
-def long_log(tmp_path):
-    """Write a log of 20 s, in several chunks; return its path."""
-    record(tmp_path / "a.mcap", steps=20_000)
-    return tmp_path / "a.mcap"
-
-
-def test_rows_that_damage_cost_are_shown(call, long_log):
+def test_rows_that_damage_cost_are_shown(call, tmp_path):
     """By component, with their times, as a table or JSON; the recovered log is partial."""
-    with long_log.open("rb") as stream:
+    record(tmp_path / "a.mcap", steps=20_000)  # several chunks
+    with (tmp_path / "a.mcap").open("rb") as stream:
         chunk = make_reader(stream).get_summary().chunk_indexes[1]
-    data = bytearray(long_log.read_bytes())
+    data = bytearray((tmp_path / "a.mcap").read_bytes())
     data[chunk.chunk_start_offset + chunk.chunk_length - 30] ^= 1
-    long_log.with_name("broken.mcap").write_bytes(data)
+    (tmp_path / "broken.mcap").write_bytes(data)
     recover = ("recover", "broken.mcap", "-o", "good.mcap")
     code, out, err = call(*recover)
     assert (code, err) == (0, "")
@@ -328,20 +281,10 @@ def test_rows_that_damage_cost_are_shown(call, long_log):
     assert shown["status"] == "partial"
     first = next(own["lost"] for own in shown["components"].values() if own["lost"])[0]
     assert f"{first['rows']} from {first['from']} s to {first['to']} s" in out
-
-
-def test_a_truncated_log_names_the_command_that_recovers_it(call, long_log):
-    """Which says what it cannot know: of a file without an end."""
-    data = long_log.read_bytes()
-    long_log.with_name("b.mcap").write_bytes(data[: len(data) * 3 // 4])
-    code, _, err = call("info", "b.mcap")
-    assert code == 2
-    assert "'cosim recover'" in err
-    code, out, _ = call("recover", "b.mcap", "-o", "c.mcap")
-    assert code == 0
+    (tmp_path / "broken.mcap").write_bytes(data[: len(data) * 3 // 4])
+    out = call(*recover, "--force")[1]
     assert "are lost, too: the file has no end" in out
     assert "messages, events or substeps are lost, too, or their number is unknown" in out
-    assert call("info", "c.mcap")[0] == 0
 
 
 # --- metrics ---

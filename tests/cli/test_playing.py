@@ -7,7 +7,6 @@ import json
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 
@@ -91,20 +90,3 @@ def test_a_run_is_shown_while_it_goes_on(start, files):
     rows = dict(zip(log.time_ns("plant").tolist(), log.rows("plant").tolist(), strict=True))
     for time_ns, message in found:
         assert fields(message) == rows[time_ns]
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("files")
-@pytest.mark.parametrize("command", ["play a.mcap", "run academic --stop 0.01 --live"])
-def test_a_port_in_use_is_one_clear_error(call, command):
-    """In the language of the shell; nothing has run."""
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        port = taken.getsockname()[1]
-        code, out, err = call(*command.split(), "--port", port)
-    assert (code, out) == (2, "")
-    assert err == (
-        f"cosim: --port: cannot listen on 127.0.0.1:{port}: Address already in use; "
-        "choose another port, or 0 for any free one\n"
-    )

@@ -8,7 +8,6 @@ import pytest
 
 import cosim
 from tests.fmi.eventful import build
-from tests.scenario.field_recordings import BOTH
 
 SHORT = ("--stop", "0.1")
 ROTATED = ("run", "academic", "--stop", "1", "--rotate", "0.4s", "--out", "run.mcap")
@@ -37,36 +36,16 @@ def test_a_log_is_replaced_by_a_run_and_not_by_a_refusal(call, tmp_path):
     """Also where the scenario is refused after its text is read: the old log stays as it is."""
     path = tmp_path / "a.mcap"
     path.write_bytes(b"old")
-    (tmp_path / "loop.toml").write_text(
-        f'{HEAD}x = {{ kind = "gain", K = 1.0 }}\n[connections]\n"x.u" = "x.y"\n'
-    )
     (tmp_path / "chase.toml").write_text(
         f'{HEAD}x = {{ kind = "lag", time_constant = 1.0 }}\n'
         '[connections]\n"x.u" = { from = "x.y", offset = 1.0 }\n'
     )
-    for arguments in (["loop.toml"], ["chase.toml"], ["academic", "--plot", "x.xyz"]):
+    for arguments in (["chase.toml"], ["academic", "--plot", "x.xyz"]):
         assert call("run", *arguments, "--out", "a.mcap", "--force")[0] == 2
         assert path.read_bytes() == b"old"
-    assert sorted(one.name for one in tmp_path.iterdir()) == ["a.mcap", "chase.toml", "loop.toml"]
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["a.mcap", "chase.toml"]
     assert call("run", "academic", *SHORT, "--out", "a.mcap", "--force")[0] == 0
     assert cosim.open_log(path).status == "complete"
-
-
-def test_the_table_shows_errors_estimates_and_the_start_of_the_identification(call):
-    """Each estimate with half its interval, the truth and an error within that half width."""
-    _, out, _ = call("run", "academic", "--stop", "10", "--out", "a.mcap")
-    for text in (
-        "observer.x_a\tplant.x_a\t",
-        "observer.delta\tdelta.y\t",
-        "identification\tfrom 6.461 s",
-        "observer 3.4539 s + filter 0.0069 s + longest delay 3 s",
-        "wall time",
-    ):
-        assert text in out
-    rows = re.findall(r"identifier\.theta\[\d\]\t\S+\t± (\S+)\t(\S+)\t(\S+)", out)
-    assert len(rows) == 2
-    for half_width, truth, error in rows:
-        assert abs(float(error)) < float(half_width) < 1e-5 * abs(float(truth))
 
 
 def test_json_is_one_document_with_the_same_content(call):
@@ -84,16 +63,6 @@ def test_json_is_one_document_with_the_same_content(call):
     assert set(found["profile"]) >= {"plant", "observer", "recorder and master"}
 
 
-def test_without_a_truth_the_last_values_are_shown(call, tmp_path):
-    """A boolean signal is carried as 1.0."""
-    components = 'u = { kind = "ramp", slope = 2.0 }\nx = { kind = "constant", value = true }\n'
-    (tmp_path / "u.toml").write_text(HEAD + components)
-    _, out, _ = call("run", "u.toml", "--out", "u.mcap")
-    assert {"u.y\t2", "x.y\t1"} <= set(out.splitlines())
-    assert json.loads(call("run", "u.toml", "--json")[1])["last"] == {"u.y": 2.0, "x.y": 1.0}
-    assert cosim.open_log("u.mcap").channels["x"].interface.outputs[0].type == "boolean"
-
-
 def test_quiet_says_nothing_and_computes_nothing_for_it(call, monkeypatch):
     monkeypatch.setattr("cosim.report.tables.run.summarize", None)
     assert call("run", "academic", *SHORT, "--quiet") == (0, "", "")
@@ -103,10 +72,9 @@ def test_quiet_says_nothing_and_computes_nothing_for_it(call, monkeypatch):
     ("table", "interpolation", "said"),
     [
         ("a,y\n0,1\n1,1\n2,3\n", "linear", {"unit", "c"}),
-        ("t [s],y [mm]\n0,1\n1,1\n2,3\n", "linear", set()),
         ("t [s],y [mm]\n0,1\n0.1,1\n0.2,1\n0.3,1\n5,2\n", "zero-order", set()),
     ],
-    ids=["no units", "units", "a sample that is held for long"],
+    ids=["no units", "units, and a sample that is held for long"],
 )
 def test_quiet_keeps_what_times_and_units_are_taken_for(call, tmp_path, table, interpolation, said):
     """A wrong guess there is a wrong result; the name of a component is no question of units."""
@@ -125,21 +93,17 @@ def test_quiet_keeps_what_times_and_units_are_taken_for(call, tmp_path, table, i
     assert {line.split(":")[1].strip() for line in err.splitlines()} == said
 
 
-def test_set_step_and_stop_reach_the_run(call):
-    line = "run academic --stop 0.2 --step 0.002 --set observer.filter_rate=500 --out a.mcap"
-    call(*line.split())
+def test_step_stop_set_and_plot_reach_the_run_and_its_replay(call, monkeypatch):
+    drawn = []
+    monkeypatch.setattr("cosim.report.plots.runs.plot_run", lambda *given: drawn.append(given))
+    changes = ("--step", "0.002", "--set", "observer.filter_rate=500")
+    call("run", "academic", "--stop", "0.2", *changes, "--out", "a.mcap", "--plot", "run.png")
     log = cosim.open_log("a.mcap")
     assert (log.step_ns, log.time("plant")[-1]) == (2_000_000, 0.2)
     assert json.loads(log.metadata["cosim.component.observer"]["table"])["filter_rate"] == 500
-
-
-def test_replay_stops_and_plots_like_run(call, monkeypatch):
-    drawn = []
-    monkeypatch.setattr("cosim.report.plots.runs.plot_run", lambda *given: drawn.append(given))
-    call("run", "academic", *SHORT, "--out", "a.mcap", "--plot", "run.png")
-    code, out, _ = call("replay", "a.mcap", "--stop", "0.05", "--plot", "again.png")
+    code, out, _ = call("replay", "a.mcap", "--stop", "0.1", "--plot", "again.png")
     assert code == 0
-    assert "0.05 s in 50 steps" in out
+    assert "0.1 s in 50 steps" in out
     assert [(run.steps, str(out)) for run, out in drawn] == [(100, "run.png"), (50, "again.png")]
 
 
@@ -153,7 +117,7 @@ def test_without_matplotlib_a_plot_names_the_way_out(call, tmp_path, monkeypatch
 
 
 def test_a_run_that_an_fmu_ends_says_why(call, tmp_path):
-    """It requests the end at 0.325 s; the reason is in the table, JSON, the log and in memory."""
+    """It requests the end at 0.325 s; the reason is in the table, in JSON and in the log."""
     (tmp_path / "x.toml").write_text(
         f'{HEAD}plant = {{ kind = "fmu", path = "{build("ENDS")}", start = {{ p = 0.325 }} }}\n'
         'zero = { kind = "constant", value = 0.0 }\n'
@@ -167,8 +131,6 @@ def test_a_run_that_an_fmu_ends_says_why(call, tmp_path):
         assert f"stop reason\t{reason}" in text.splitlines()
     found = json.loads(call("run", "x.toml", "--json")[1])
     assert (found["status"], found["reason"]) == ("complete", reason)
-    for run in (cosim.open_log("x.mcap"), cosim.run("x.toml")):
-        assert (run.status, run.reason) == ("complete", reason)
 
 
 # --- what fails ---
@@ -241,7 +203,7 @@ def test_an_estimate_that_contradicts_its_data_fails(call):
 
 @pytest.mark.slow
 def test_the_files_and_the_end_of_the_whole_run_are_shown(call, tmp_path):
-    """As a table and as JSON; together they are the log of the run, and each can be replayed."""
+    """As a table and as JSON."""
     code, out, err = call(*ROTATED)
     assert (code, err) == (0, "")
     status, steps, digest, *logs = out.splitlines()[:6]
@@ -249,11 +211,7 @@ def test_the_files_and_the_end_of_the_whole_run_are_shown(call, tmp_path):
     assert (status, steps) == ("status\tcomplete", "steps\t1000, up to 1.0 s")
     assert logs == [f"log\t{name}" for name in names]
     assert sorted(path.name for path in tmp_path.iterdir()) == names
-    assert call("merge", *names, "-o", "whole.mcap") == (0, "whole.mcap: complete\n", "")
-    digest = digest.removeprefix("content hash\t")
-    assert call("hash", "whole.mcap")[1] == f"{digest}  whole.mcap\n"
-    for name in names[1:]:
-        assert call("replay", name, "--verify")[0] == 0
+    assert digest.startswith("content hash\t")
     assert "part 2 of its log, from 0.4 s to 0.799 s" in call("info", "run.part2.mcap")[1]
     shown = json.loads(call(*ROTATED, "--force", "--json")[1])
     assert (shown["status"], shown["steps"], shown["end"]) == ("complete", 1000, 1.0)
@@ -272,21 +230,3 @@ def test_a_run_that_fails_names_the_last_of_its_files(call, tmp_path):
 
 
 # --- recordings of other tools ---
-
-
-@pytest.mark.usefixtures("files")
-def test_a_recording_of_another_tool_is_swapped_in_and_replayed(call):
-    """As any file is, which says what it means; its replay is a log with a scenario of its own."""
-    maps = [f"--map={port}={name}" for port, name in BOTH.items()]
-    code, out, err = call("run", "loop.toml", "--swap", "plant=field.mcap", *maps, "--dry-run")
-    assert code == 0, err
-    assert "plant.y -> /drive/state.position" in out
-    assert "take it in the place of command.y" in err
-    named = ("replay", "field.mcap", "--scenario", "loop.toml", *maps)
-    code, _, err = call(*named, "--set", "model.time_constant=0.1", "--out", "once.mcap")
-    assert code == 0, err
-    for command in (named, ("replay", "once.mcap")):
-        code, out, err = call(*command, "--vary", "model.time_constant=0.1,0.2")
-        assert code == 0, err
-        cells = [line.split("\t")[0] for line in out.splitlines()[1:]]
-        assert cells == ["model.time_constant", "0.1", "0.2"]

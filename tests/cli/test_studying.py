@@ -1,6 +1,5 @@
 """The commands study and tune, and the metrics of a member that is run alone."""
 
-import inspect
 import json
 import os
 import re
@@ -9,26 +8,14 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import fields
 
 import pytest
 
 import cosim
-from cosim.cli.studies import run, stopped_text
+from cosim.cli.studies import stopped_text
 from cosim.studies.plan import RecordedStudy
-from cosim.studies.study_file import StudyOptions
 
 IN_THIS_PROCESS = pytest.mark.usefixtures("files", "members_in_this_process")
-
-
-def test_all_options_of_a_study_can_be_given_everywhere():
-    """In a file, to cosim.study and on the command line, under their names."""
-    of_file = {each.name for each in fields(StudyOptions)}
-    of_function = inspect.signature(cosim.study).parameters.keys()
-    of_command = inspect.signature(run).parameters.keys()
-    assert of_file < of_function
-    assert of_file - {"metrics"} | {"metric", "stop"} < of_command
-    assert "stop" in of_function
 
 
 @IN_THIS_PROCESS
@@ -82,21 +69,8 @@ def test_an_interrupted_study_says_how_to_go_on(tmp_path):
 
 
 @pytest.mark.slow
-@IN_THIS_PROCESS
-def test_a_study_with_failed_members_exits_with_1(call, files):
-    """All of it is recorded and shown all the same."""
-    (files / "x.toml").write_text(
-        'scenario = { name = "x", stop = 1.0, step = 0.1 }\n'
-        '[components]\nu = { kind = "expression", y = "1/(t - 0.5)" }\n'
-    )
-    arguments = ["x.toml", "--vary", "scenario.stop=0.2,1.0", "--metric", "y=last(u.y)"]
-    assert call("study", *arguments)[0] == 1
-    assert "2 of 2 members done, 1 failed" in call("study", "show", "logs/x-study")[1]
-
-
-@pytest.mark.slow
 def test_members_fail_their_study(call):
-    """By number, with the first as an example; a metric of the study goes by its name."""
+    """By number, with the first as an example; one whose run fails does, too."""
     common = shlex.split(
         "study academic --vary observer.filter_rate=10,900 --metric e=last(plant.y) --stop 0.05 "
         "--set scenario.input_interpolation=zero-order --set observer.filter=first-order -q"
@@ -108,6 +82,10 @@ def test_members_fail_their_study(call):
     code, _, err = call(*common, "--out", "b", "--assert", "rms(plant.y) < 0.1")
     assert code == 1
     assert "cosim: --assert rms(plant.y) < 0.1: 2 of 2 members (0, 1); member 0: rms(" in err
+    bad = "components.bad={ kind = 'expression', y = '1/(t - 0.03)' }"
+    failing = ("study", "academic", "--set", bad, "--vary", "scenario.stop=0.02,0.1", "-q")
+    assert call(*failing, "--metric", "y=last(plant.y)", "--out", "c")[0] == 1
+    assert "2 of 2 members done, 1 failed" in call("study", "show", "c")[1]
 
 
 # --- metrics of a study ---
@@ -124,19 +102,13 @@ DRAWN = {
     "observer.filter_rate": {"log-uniform": [100.0, 1e3]},
     "plant.x_a0[0]": {"normal": [1.0, 0.1]},
 }
-STUDIES = {
-    "drawn": {"source": "academic-noisy", "vary": DRAWN, "samples": 3, "seeds": 2, "set": LONGER},
-    "fmu": {"source": "academic", "vary": RATES, "swap": {"plant": "plant.fmu"}, "set": LONGER},
-    "replays": {"source": "academic", "vary": RATES, "replay": "a.mcap"},
-}
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("files")
-@pytest.mark.parametrize("kind", STUDIES)
-def test_a_member_that_is_run_alone_has_the_bits_of_its_study(call, kind):
+def test_a_member_that_is_run_alone_has_the_bits_of_its_study(call):
     """By the command that is printed, and from its log; in Python, too."""
-    study = cosim.study(**STUDIES[kind], metrics=METRICS, out="x", workers=1)
+    drawn = {"vary": DRAWN, "samples": 3, "seeds": 2, "set": LONGER}
+    study = cosim.study("academic-noisy", **drawn, metrics=METRICS, out="x", workers=1)
     assert study.failures == {}
     command_of = RecordedStudy.read(study.text).command_of(study)
     for number, row in enumerate(study.table(list(METRICS)).to_pylist()):

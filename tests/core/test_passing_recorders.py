@@ -9,7 +9,7 @@ from cosim.blocks import sine
 from cosim.core import Clock, Graph, Memory, run
 from cosim.core.passing_recorders import PassingRecorder, TwoRecorders, Watched
 from cosim.core.recorders import Nothing
-from cosim.scenario.recordings.window import ReplayWindow, WindowRecorder
+from cosim.scenario.recordings.replay_request import ReplayWindow, WindowRecorder
 
 
 class FullError(Exception):

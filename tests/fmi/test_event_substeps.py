@@ -332,9 +332,9 @@ def test_a_recording_of_a_component_with_events_inside_steps_is_warned_of(jumpin
     log = cosim.run(str(scenario), out=tmp_path / "x.mcap")
     swapped = cosim.run(str(scenario), swap={"one": log.path})
     texts = [message.text for message in swapped.messages() if message.level == "warning"]
-    jump = "jumps at 1 instant, the first at t = 0.7 s: what it drives gets a ramp of a step"
+    jump = "has 1 jump(s), the first at t = 0.7 s: what it drives gets a ramp of a step"
     inside = (
-        "has 10 events between communication points, the first at t = 0.07 s: between its rows "
+        "has 10 event(s) between communication points, the first at t = 0.07 s: between its rows "
     )
     for part in (jump, inside):
         assert sum(part in text for text in texts) == 1

@@ -2,11 +2,9 @@
 
 import json
 import re
-from pathlib import Path
 
 import pytest
 
-import cosim
 from cosim.native.numerics.expression import FUNCTIONS
 from cosim.scenario.document.document import shipped
 from cosim.scenario.document.schema import ActionTable, ModelTable, RecordTable, Settings
@@ -44,14 +42,6 @@ def test_everything_that_can_stand_in_a_scenario_is_listed(listed):
         assert all(key["description"] for key in found[entry].values())
         assert set(found[entry]) <= firsts
     assert {"substeps.rtol", "substeps.atol", "substeps.min"} <= found["settings"].keys()
-
-
-@pytest.mark.parametrize("name", ["start_time", "coupling", "input_interpolation"])
-def test_readme_names_the_keys_that_change_results(name):
-    """Beside those that its scenarios have; on its first page or one of the others."""
-    root = Path(cosim.__file__).parents[1]
-    pages = [root / "README.md", *(root / ".readme").glob("*.md")]
-    assert any(re.search(f"`{name}[` ]", page.read_text(encoding="utf-8")) for page in pages)
 
 
 def test_a_kind_is_explained_with_default_meaning_and_unit(listed):

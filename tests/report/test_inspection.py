@@ -27,16 +27,10 @@ area = { kind = "sum", signs = [1.0], size = 2, unit = "mm" }
 """
 
 
-def described(folder, text):
-    """Return what a scenario has."""
-    path = folder / "x.toml"
-    path.write_text(text, encoding="utf-8")
-    return describe_scenario(str(path))
-
-
 def test_a_connection_shows_all_its_sources_and_one_conversion(tmp_path):
     """Two sources in m stacked to an input in mm: the map and the conversion stand once."""
-    (row,) = described(tmp_path, SCENARIO)["connections"]
+    (tmp_path / "x.toml").write_text(SCENARIO)
+    (row,) = describe_scenario(str(tmp_path / "x.toml"))["connections"]
     expected = {
         "to": "area.u1",
         "from": "length.y, width.y",

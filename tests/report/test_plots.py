@@ -216,8 +216,8 @@ def draw(tmp_path, rows, out, monkeypatch):
         both = open_log(tmp_path / "first.mcap"), open_log(tmp_path / "second.mcap")
         panels = []
 
-        def keep(panel, curves, styles):
-            draw_curves(panel, curves, styles)
+        def keep(panel, *given):
+            draw_curves(panel, *given)
             panels.append(list(panel.lines))
 
         monkeypatch.setattr(runs, "draw_curves", keep)
@@ -261,6 +261,3 @@ def test_a_number_beside_none_is_drawn_where_it_is(rows, draw):
     changed[30, 2] = np.nan
     rows[20, 1] = changed[20, 1] = np.inf
     assert "plant.x_a[1]: largest |a - b| = inf" in draw(changed)[-1]
-
-
-# --- texts that fit ---

@@ -27,11 +27,11 @@ class Jump(Static):
 
     interface = Interface((), (Signal("y"),))
 
-    def __init__(self, instant: float):
-        self.instant = instant
+    def __init__(self, time: float):
+        self.time = time
 
     def outputs(self, t, u):
-        return np.array([np.sin(t) + (t >= self.instant)])
+        return np.array([np.sin(t) + (t >= self.time)])
 
 
 class Holder(Static):
@@ -39,11 +39,11 @@ class Holder(Static):
 
     interface = Interface((), (Signal("y", variability="discrete"),))
 
-    def __init__(self, every: float):
-        self.every = every
+    def __init__(self, time: float):
+        self.time = time
 
     def outputs(self, t, u):
-        return np.array([np.sin(np.floor(t / self.every + 1e-9) * self.every)])
+        return np.array([np.sin(np.floor(t / self.time + 1e-9) * self.time)])
 
 
 class Relay(Static):
@@ -91,7 +91,7 @@ def write(folder, text):
 def lag_behind(source):
     """Return a scenario in which a lag of 0.5 s follows a class of ours, or what a table says."""
     name, value = source
-    table = value if name == "kind" else f'"python", class = "parts:{name}", instant = {value}'
+    table = value if name == "kind" else f'"python", class = "parts:{name}", time = {value}'
     return f"""
         [components]
         source = {{ kind = {table} }}
@@ -101,15 +101,6 @@ def lag_behind(source):
         "lag.u" = "source.y"
         """
 
-
-HOLDER = """
-    [components]
-    holder = { kind = "python", class = "parts:Holder", every = 0.1 }
-    lag = { kind = "lag", time_constant = 0.5 }
-
-    [connections]
-    "lag.u" = "holder.y"
-    """
 
 LORENZ = """
     [components]

@@ -12,11 +12,7 @@ STOP = 3.0
 COUNT = 400
 
 LOOP = """
-[scenario]
-name = "loop"
-stop = 3.0
-step = 1e-2
-
+scenario = { name = "loop", stop = 3.0, step = 1e-2 }
 [components]
 command = { kind = "sine", amplitude = 2.0, rate = 3.0 }
 plant = { kind = "lag", time_constant = 0.5 }

@@ -13,8 +13,8 @@ import cosim
 from cosim.arrays import Matrix
 from cosim.core.contracts import Component
 from cosim.scenario.building.build import Builder
-from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.document import find
+from cosim.scenario.kinds.base import Scenario
 from cosim.scenario.running.execution import load
 
 H = 0.01

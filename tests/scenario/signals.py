@@ -8,8 +8,8 @@ from typing import Any
 from cosim.core import Memory
 from cosim.core import run as run_graph
 from cosim.scenario.building.build import Builder
-from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.document import PortNames
+from cosim.scenario.kinds.base import Scenario
 from cosim.scenario.running.execution import load
 
 # 700 steps in place of 7000: the filter follows them, and identification begins at 6.52 s

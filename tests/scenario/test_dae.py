@@ -53,15 +53,6 @@ def test_its_ordinary_form_is_the_ordinary_export(plant, tmp_path, interface_typ
     assert cosim.diff(*runs).equal
 
 
-@pytest.mark.parametrize(
-    ("component", "fmi", "message"),
-    [("plant", "2", "FMI 2.0 has no residual form"), ("observer", "3", "'observer' is of kind")],
-)
-def test_dae_is_for_descriptor_plants_and_fmi_3(component, fmi, message, tmp_path):
-    with pytest.raises(CosimError, match=message):
-        export_component("academic", component, tmp_path / "x.fmu", fmi=fmi, dae=True)
-
-
 def test_a_form_that_there_is_not_is_refused():
     """Where the scenario is read, before the FMU is."""
     with pytest.raises(CosimError, match=r"plant\.dae'\]: .*'dae'.*did you mean 'ode'\?"):

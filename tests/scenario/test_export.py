@@ -1,6 +1,10 @@
 """The components of the shipped scenarios as FMUs: the same numbers, by us and by fmpy."""
 
+from contextlib import ExitStack
 from ctypes import c_double, c_uint32
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
 import fmpy
 import numpy as np
@@ -9,32 +13,130 @@ from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
 
 import cosim
-from cosim.core.contracts import prepare
-from cosim.core.linear import Linear
+from cosim.core.contracts import Component, prepare
+from cosim.core.linear import LinearModel
 from cosim.errors import CosimError
-from cosim.fmi.component import ModelExchange, load
+from cosim.fmi.component import ModelExchange
+from cosim.fmi.component import load as load_fmu
 from cosim.fmi.generated import GeneratedInstance
 from cosim.fmi.options import FmuOptions
 from cosim.fmi.reading.model_description import read
+from cosim.scenario.building.build import Builder
 from cosim.scenario.document.document import find
 from cosim.scenario.exporting import export_component
-from tests.scenario.exported import (
-    ACADEMIC,
-    COMPONENTS,
-    START,
-    STATES,
-    STOP,
-    H,
-    case,
-    drive,
-    export,
-)
+from cosim.scenario.kinds.base import BuildContext
+from cosim.scenario.running.execution import load
 from tests.scenario.refusals import check_refused
+from tests.scenario.signals import signals
+
+H = 1e-3
+STOP = 4.2  # s
+# theta is there at the end, and the log has every row
+START = {"scenario.stop": STOP, "identifier.start": 3.5, "identifier.period": H}
+LEAST_SQUARES = {"identifier.method": "least-squares"}
+RUNS = {
+    "academic": ("academic", {}),
+    "closed-loop": ("closed-loop", {}),
+    "sampled": ("closed-loop", {"controller.period": 0.01}),
+    "step": ("closed-loop", {"controller.period": H}),
+    "slow": ("academic", {**LEAST_SQUARES, "identifier.period": 0.1}),
+    "held": ("academic", {**LEAST_SQUARES, "scenario.input_interpolation": "zero-order"}),
+    "online": ("academic-noisy", {"identifier.period": 0.1}),
+}
+ACADEMIC = [("academic", name) for name in ("plant", "observer", "regressor", "identifier")]
+OTHERS = [
+    *(("closed-loop", name) for name in ("feedback", "error", "controller")),
+    ("sampled", "controller"),
+    ("step", "controller"),
+    ("slow", "identifier"),
+    ("held", "identifier"),
+    ("online", "identifier"),
+]
+# linear models that have states
+STATES = [("academic", "plant"), ("academic", "observer"), ("closed-loop", "controller")]
+# what drives those whose logs keep only the rows at their period
+DRIVERS = {
+    "sampled": ("error.y",),
+    "slow": ("regressor.mu",),
+    "online": ("regressor.mu", "observer.delta", "sensor.y", "u.y"),
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A component with its inputs and outputs in a run."""
+
+    component: Component
+    model: LinearModel | None
+    held: Any
+    t: Any
+    u: Any
+    y: Any
+
+
+@cache
+def loaded(key: str) -> Any:
+    name, changes = RUNS[key]
+    return load(name).set({**START, **changes})
+
+
+@cache
+def recorded(key: str) -> Any:
+    return signals(loaded(key))
+
+
+@cache
+def case(key: str, name: str) -> Case:
+    """Return a component, built for a run, with its recorded inputs and outputs."""
+    scenario = loaded(key)
+    run = recorded(key)
+    with ExitStack() as resources:
+        graph = Builder(scenario, resources).experiment().graph
+        context = BuildContext(scenario, resources)
+        model = scenario.specs[name].linear_model(name, context) if (key, name) in STATES else None
+    component = graph.components[name]
+    t = np.arange(round(STOP / H) + 1) * 1_000_000 / 1e9
+    if key in DRIVERS:
+        prepare(component, H, graph.held[name], {})
+        driving = [np.reshape(run[port], (len(t), -1)) for port in DRIVERS[key]]
+        u = np.ascontiguousarray(np.hstack(driving))
+        y = np.vstack([component.initialize(0.0, u[0]), component.advance(t, H, u)])
+    else:
+        u = columns(run, name, component.interface.inputs)
+        y = columns(run, name, component.interface.outputs)
+    return Case(component, model, graph.held[name], t, u, y)
+
+
+def columns(run: Any, name: str, ports: Any) -> Any:
+    """Return the signals of a component side by side, at every communication point."""
+    arrays = []
+    for signal in ports:
+        rows = run[f"{name}.{signal.name}"]
+        arrays.append(np.reshape(rows, (-1, signal.size)))
+    return np.ascontiguousarray(np.hstack(arrays))
+
+
+def export(key: str, name: str, fmi: str, folder: Any) -> Any:
+    path = folder / f"{key}-{name}-{fmi}.fmu"
+    if not path.exists():
+        export_component(loaded(key), name, path, fmi=fmi)
+    return path
+
+
+def drive(component: Any, original: Case) -> Any:
+    """Run a component on recorded inputs; return its outputs in the order of the original."""
+    prepare(component, H, original.held, {})
+    first = component.initialize(0.0, original.u[0])
+    y = np.vstack([first, component.advance(original.t, H, original.u)])
+    columns_of = component.interface.output_columns()
+    outputs = original.component.interface.outputs
+    return np.hstack([y[:, columns_of[signal.name]] for signal in outputs])
+
 
 FMI = pytest.mark.parametrize("fmi", ["2", "3"])
-LINEAR = pytest.mark.parametrize(
+EVERY = pytest.mark.parametrize(
     ("key", "name"),
-    [STATES[0], *(pytest.param(*component, marks=pytest.mark.slow) for component in STATES[1:])],
+    [ACADEMIC[0], *(pytest.param(*one, marks=pytest.mark.slow) for one in ACADEMIC[1:] + OTHERS)],
 )
 
 
@@ -55,7 +157,7 @@ def relative(values, expected):
 
 
 @FMI
-@pytest.mark.parametrize(("key", "name"), COMPONENTS)
+@EVERY
 def test_fmpy_finds_no_problems(key, name, fmi, folder):
     """Schema, names, structure, start values, units; the interface types fit the component."""
     path = export(key, name, fmi, folder)
@@ -69,7 +171,7 @@ def test_fmpy_finds_no_problems(key, name, fmi, folder):
 
 @pytest.mark.fast("academic-plant-3")
 @FMI
-@pytest.mark.parametrize(("key", "name"), COMPONENTS)
+@EVERY
 def test_co_simulation_by_us_gives_what_the_component_gave(key, name, fmi, folder):
     """Bit for bit where the inputs are interpolated linearly.
 
@@ -77,7 +179,7 @@ def test_co_simulation_by_us_gives_what_the_component_gave(key, name, fmi, folde
     inputs cost rounding: their two columns of the discretization are added at each step, not once.
     """
     original = case(key, name)
-    with load(export(key, name, fmi, folder), FmuOptions(interface_type="cs")) as fmu:
+    with load_fmu(export(key, name, fmi, folder), FmuOptions(interface_type="cs")) as fmu:
         y = drive(fmu.component, original)
     assert relative(y, original.y) <= 1e-12
     if not original.held.any():
@@ -86,27 +188,21 @@ def test_co_simulation_by_us_gives_what_the_component_gave(key, name, fmi, folde
 
 @pytest.mark.fast("academic-plant-3")
 @FMI
-@LINEAR
+@pytest.mark.parametrize(("key", "name"), STATES)
 def test_model_exchange_by_us_has_the_bits_of_the_component_with_the_same_solver(
     key, name, fmi, folder
 ):
     """rk4 on the FMU and rk4 on the component call the same C."""
     original = case(key, name)
     expected = drive(ModelExchange(GeneratedInstance.of(original.model), "rk4"), original)
-    with load(export(key, name, fmi, folder), FmuOptions(interface_type="me", solver="rk4")) as fmu:
+    with load_fmu(
+        export(key, name, fmi, folder), FmuOptions(interface_type="me", solver="rk4")
+    ) as fmu:
         assert np.array_equal(drive(fmu.component, original), expected)
 
 
-def rows(original, held=None):
-    """Return recorded inputs, or constant ones, as fmpy takes them."""
-    u = original.u if held is None else np.tile(held, (len(original.u), 1))
-    columns_of = original.component.interface.input_columns()
-    signals = original.component.interface.inputs
-    return u, [(s.name, s.size, u[:, columns_of[s.name]]) for s in signals]
-
-
-def by_fmpy(path, interface_type, original, named, stop):
-    """Simulate with fmpy alone; the outputs side by side."""
+def by_fmpy(path, original, named):
+    """Co-simulate with fmpy alone; the outputs side by side."""
     arrays = fmpy.read_model_description(str(path)).fmiVersion.startswith("3")
     fields = [("time", float)]
     values = [original.t]
@@ -122,11 +218,9 @@ def by_fmpy(path, interface_type, original, named, stop):
         table[field] = value
     result = fmpy.simulate_fmu(
         str(path),
-        stop_time=stop,
+        stop_time=STOP,
         output_interval=H,
-        fmi_type=interface_type,
-        solver="CVode",
-        relative_tolerance=1e-10,
+        fmi_type="CoSimulation",
         input=table,
     )
     names = [s.name for s in original.component.interface.outputs] if arrays else None
@@ -135,7 +229,7 @@ def by_fmpy(path, interface_type, original, named, stop):
 
 
 @FMI
-@pytest.mark.parametrize(("key", "name"), COMPONENTS)
+@EVERY
 def test_co_simulation_by_fmpy_alone_gives_what_the_component_gives(key, name, fmi, folder):
     """fmpy holds the inputs over a step, and interpolates them at its own times.
 
@@ -144,10 +238,12 @@ def test_co_simulation_by_fmpy_alone_gives_what_the_component_gives(key, name, f
     whether exact data exclude every other optimum, and so whether there is a theta.
     """
     original = case(key, name)
-    _, named = rows(original)
+    columns_of = original.component.interface.input_columns()
+    inputs = original.component.interface.inputs
+    named = [(s.name, s.size, original.u[:, columns_of[s.name]]) for s in inputs]
     if fmi == "3" and len({size for _, size, _ in named}) > 1:
         pytest.skip("fmpy stacks the values of all inputs, which must have one size")
-    y = by_fmpy(export(key, name, fmi, folder), "CoSimulation", original, named, STOP)
+    y = by_fmpy(export(key, name, fmi, folder), original, named)
     component = original.component
     all_held = np.ones(original.u.shape[1], np.bool_)
     prepare(component, H, original.held if name == "identifier" else all_held, {})
@@ -165,22 +261,6 @@ def test_co_simulation_by_fmpy_alone_gives_what_the_component_gives(key, name, f
         y[in_one & early[:, np.newaxis]] = np.nan
         expected[in_one & early[:, np.newaxis]] = np.nan
     assert relative(y, expected) <= (1e-7 if name == "identifier" else 1e-12)
-
-
-@FMI
-@LINEAR
-def test_model_exchange_by_fmpy_alone_gives_what_the_component_gives(key, name, fmi, folder):
-    """CVode at 1e-10 a step, with constant inputs, stays within 1e-6 of the exact solver.
-
-    filter_rate is 1e3.
-    """
-    original = case(key, name)
-    u, named = rows(original, np.linspace(0.5, 1.0, original.u.shape[1]))
-    y = by_fmpy(export(key, name, fmi, folder), "ModelExchange", original, named, 0.5)
-    exact = Linear(original.model)
-    prepare(exact, H, np.zeros(u.shape[1], np.bool_), {})
-    expected = np.vstack([exact.initialize(0.0, u[0]), exact.advance(original.t, H, u)])[: len(y)]
-    assert relative(y, expected) <= 1e-6
 
 
 @pytest.mark.slow
@@ -230,23 +310,16 @@ def test_every_fmu_takes_its_component_place(folder):
 
 @pytest.mark.slow
 def test_a_fixed_step_is_kept(folder):
-    """Another communication step is refused: in FMI 3 before the run, in FMI 2 by the FMU.
-
-    FMI 3 declares it.
-    """
+    """Another is refused: in FMI 3, which declares it, before the run, in FMI 2 by the FMU."""
     original = case("academic", "regressor")
-    with (
-        load(export("academic", "regressor", "3", folder), FmuOptions(interface_type="cs")) as fmu,
-        pytest.raises(CosimError, match=r"0\.001 s"),
-    ):
+    declared, checked = (export("academic", "regressor", fmi, folder) for fmi in "32")
+    options = FmuOptions(interface_type="cs")
+    with load_fmu(declared, options) as fmu, pytest.raises(CosimError, match=r"0\.001 s"):
         prepare(fmu.component, 0.0015, original.held, {})
-    with load(export("academic", "regressor", "2", folder), FmuOptions(interface_type="cs")) as fmu:
+    with load_fmu(checked, options) as fmu:
         prepare(fmu.component, 0.002, original.held, {})
         fmu.component.initialize(0.0, original.u[0])
-        message = (
-            r"a communication step of 0\.002\d* s was asked for; needed 0\.001 s, "
-            r"the step of this FMU"
-        )
+        message = r"step of 0\.002\d* s was asked for; needed 0\.001 s, the step of this FMU"
         with pytest.raises(CosimError, match=message):
             fmu.component.advance(np.array([0.0, 0.002]), 0.002, original.u[:2])
 
@@ -264,6 +337,8 @@ def test_an_impossible_export_is_refused(tmp_path):
             "'x86_64-lnux'; did you mean 'x86_64-linux'",
         ),
         ({"platforms": 2 * ["x86_64-linux"]}, "platform 'x86_64-linux' is given twice"),
+        ({"dae": True}, "FMI 2.0 has no residual form"),
+        ({"component": "observer", "fmi": "3", "dae": True}, "'observer' is of kind"),
     ]
 
     def act(options):

@@ -11,7 +11,8 @@ import cosim
 from cosim.documents import plain
 from cosim.errors import CosimError, UsageError
 from cosim.scenario.record import IDENTIFICATION
-from cosim.scenario.running.identifying import identifier_record, identify_records
+from cosim.scenario.running.identifying import identifier_record
+from tests.scenario.refusals import check_refused
 
 FAST = {"scenario.step": 0.01, "observer.filter_rate": 100.0}
 
@@ -34,7 +35,7 @@ def logs(tmp_path_factory):
 @pytest.mark.slow
 def test_a_log_says_what_the_run_said(logs):
     """Parameters, amplitudes, tests and noise are those recorded at its end."""
-    found = identify_records([identifier_record(logs[0])])
+    found = cosim.identify(logs[0])
     recorded = dict(logs[0].results[IDENTIFICATION]["identifier"])
     recorded.pop("estimate")
     assert recorded.pop("amplitudes") == [list(map(plain, own)) for own in found.amplitudes]
@@ -57,6 +58,21 @@ def test_the_data_are_what_the_observer_took_in(logs):
     assert not record.data.held.any()
 
 
+@pytest.mark.parametrize(
+    ("scenario", "options", "closed"),
+    [
+        ("closed-loop", {}, True),
+        ("academic", {"identifier.closed_loop": True}, True),
+        ("academic", {}, False),
+    ],
+)
+@pytest.mark.usefixtures("without_verdicts")
+def test_the_data_say_which_inputs_carry_the_noise_of_y(scenario, options, closed):
+    """By the connections, or as the identifier states of a recording."""
+    memory = cosim.run(scenario, set={"scenario.stop": 1.0, **options})
+    assert identifier_record(memory).data.is_in_feedback.tolist() == [closed]
+
+
 @pytest.mark.slow
 def test_several_logs_are_one_fit(logs):
     """Two of equal information halve the variance; amplitudes and x(0) are their own.
@@ -77,55 +93,49 @@ def test_several_logs_are_one_fit(logs):
 
 
 def test_the_log_of_another_method_is_identified_by_output_error(logs):
-    """Least squares was wrong in it, and is said to be; its theta is no start."""
+    """Least squares was wrong in it, and is said to be; its theta is no start.
+
+    It has no key for an offset: what is offered is the option that there is.
+    """
     recorded = logs[2].results[IDENTIFICATION]["identifier"]
     assert [one["verdict"] for one in recorded["parameters"]] == ["IDENTIFIABLE"] * 2
     assert [one["verdict"] for one in recorded["estimate"]] == ["INCONSISTENT"] * 2
     assert "biased" in recorded["estimate"][0]["reason"]
-    record = identifier_record(logs[2])
-    assert record.estimate is None
-    theta = identify_records([record]).assessment.fit.theta
-    np.testing.assert_allclose(theta, [-0.1, -0.3], atol=1e-3)
-
-
-def test_an_offset_is_offered_as_the_option_that_there_is(logs):
-    """Least squares has no key for it; then the log is identified with one."""
+    found = cosim.identify(logs[2])
+    assert found.records[0].estimate is None
+    np.testing.assert_allclose(found.assessment.fit.theta, [-0.1, -0.3], atol=1e-3)
     offered = []
     for log in (logs[0], logs[2]):
         told = log.results[IDENTIFICATION]["identifier"]["undetected"]
         offered += [one["remedy"] for one in told if one["error"] == "a constant on y"]
     assert offered == ["`offset = true`", "`cosim identify --offset`"]
-    found = identify_records([identifier_record(logs[0])], offset=True)
-    assert "a constant on y" not in [one.error for one in found.undetected]
 
 
 def test_options_are_those_of_the_fit(logs):
-    """An offset is one more unknown; equal bounds fix a theta."""
-    record = identifier_record(logs[0])
-    plain = identify_records([record])
-    offset = identify_records([record], offset=True)
+    """An offset is one more unknown, and then no undetected error; equal bounds fix a theta."""
+    plain = cosim.identify(logs[0])
+    offset = cosim.identify(logs[0], offset=True)
     assert offset.assessment.fit.freedom == plain.assessment.fit.freedom - 1
-    fixed = identify_records([record], bounds={0: (-0.1, -0.1)})
+    assert "a constant on y" not in [one.error for one in offset.undetected]
+    fixed = cosim.identify(logs[0], bounds={0: (-0.1, -0.1)})
     assert fixed.assessment.fit.theta[0] == -0.1
     assert fixed.assessment.fit.freedom == plain.assessment.fit.freedom + 1
-    listed = identify_records([record], bounds=[[-0.1, -0.1], (-np.inf, np.inf)])
+    listed = cosim.identify(logs[0], bounds=[[-0.1, -0.1], (-np.inf, np.inf)])
     np.testing.assert_array_equal(listed.assessment.fit.theta, fixed.assessment.fit.theta)
 
 
-@pytest.mark.parametrize(
-    ("bounds", "text"),
-    [
-        ([[-1, 0]], "expected [lower, upper] for each of the 2 parameters"),
-        (3, "bounds: expected [lower, upper]"),
-        ({2: (0.0, 1.0)}, "bounds: no theta[2]; there are 2 parameters"),
-        ({0: 1.0}, "bounds of theta[0]: expected two numbers, [lower, upper]"),
-        ({0: (1.0, 0.0)}, "bounds of theta[0]: expected lower <= upper"),
-    ],
-)
-def test_bounds_that_are_none_are_refused(logs, bounds, text):
+NO_BOUNDS = [
+    ([[-1, 0]], r"expected \[lower, upper\] for each of the 2 parameters"),
+    (3, r"bounds: expected \[lower, upper\]"),
+    ({2: (0.0, 1.0)}, r"bounds: no theta\[2\]; there are 2 parameters"),
+    ({0: 1.0}, r"bounds of theta\[0\]: expected two numbers, \[lower, upper\]"),
+    ({0: (1.0, 0.0)}, r"bounds of theta\[0\]: expected lower <= upper"),
+]
+
+
+def test_bounds_that_are_none_are_refused(logs):
     """As rows or by index, with the same messages as in a scenario."""
-    with pytest.raises(UsageError, match=re.escape(text)):
-        cosim.identify(logs[0], bounds=bounds)
+    check_refused(NO_BOUNDS, lambda bounds: cosim.identify(logs[0], bounds=bounds))
 
 
 def test_anything_but_a_log_is_refused(logs):
@@ -149,62 +159,52 @@ def other(tmp_path_factory):
 
 
 def test_logs_of_other_models_are_refused(logs, other):
-    """They would share a theta that is not one; nor do they validate."""
-    records = [identifier_record(log) for log in (logs[0], other)]
+    """They would share a theta that is not one; nor do they validate, nor does a log itself."""
     with pytest.raises(UsageError, match=r"a\.mcap: the design models differ in A;"):
-        identify_records(records)
-    found = identify_records(records[:1])
-    with pytest.raises(UsageError, match=r"a\.mcap: the design models differ in A;"):
-        found.validate(records[1])
-    with pytest.raises(UsageError, match="has the rows of"):
-        found.validate(records[0])
+        cosim.identify([logs[0], other])
+    found = cosim.identify(logs[0])
+    for log, words in (
+        (other, r"a\.mcap: the design models differ in A;"),
+        (logs[0], "the rows of"),
+    ):
+        with pytest.raises(UsageError, match=words):
+            found.validate(identifier_record(log))
 
 
-def test_an_identifier_that_is_not_there_is_refused(tmp_path, logs):
+def test_an_identifier_that_is_not_there_is_refused(logs):
     """Of a wrong name what there is; of none what is needed."""
     with pytest.raises(UsageError, match="no identifier 'identifer' with a model of y; did you"):
         identifier_record(logs[0], "identifer")
-    file = tmp_path / "none.toml"
-    file.write_text(
-        '[scenario]\nname="a"\nstop=1.0\nstep=0.1\n[components]\na={kind="ramp",slope=1.0}\n'
-    )
     with pytest.raises(UsageError, match="expected an identifier with a model of y, got none"):
-        identifier_record(cosim.run(file))
+        identifier_record(cosim.run("pair", stop=0.1))
 
 
-@pytest.mark.parametrize(
-    ("record", "said"),
-    [
-        ({"record.every": 7}, r"recorded with \[record\] every = 7\); available: u\.y, "),
-        (
-            {"record.signals": ["plant.*"]},
-            r"'observer': .*recorded with \[record\] signals = \[\"plant\.\*\"\]",
-        ),
-    ],
-)
 @pytest.mark.usefixtures("without_verdicts")
-def test_a_partial_log_says_that_it_is_one(tmp_path, record, said):
+def test_a_partial_log_says_that_it_is_one():
     """It has an identifier, but not what that needs."""
-    settings = {"scenario.stop": 1.0, **record}
-    log = cosim.run("academic", out=tmp_path / "a.mcap", set=settings)
-    with pytest.raises(CosimError, match=said):
-        identifier_record(log)
+    patterns = r"'observer': .*recorded with \[record\] signals = \[\"plant\.\*\"\]"
+    cases = [
+        ({"record.every": 7}, r"recorded with \[record\] every = 7\); available: u\.y, "),
+        ({"record.signals": ["plant.*"]}, patterns),
+    ]
+
+    def act(record):
+        identifier_record(cosim.run("academic", set={"scenario.stop": 1.0, **record}))
+
+    check_refused(cases, act, CosimError)
 
 
 @pytest.mark.slow
 def test_a_run_in_memory_is_identified_like_its_log(tmp_path):
     """The same numbers, to the last bit; and its samples do not count twice either."""
     settings = {"scenario.step": 0.02, "observer.filter_rate": 50.0, "scenario.stop": 20.0}
-    memory = identifier_record(cosim.run("academic-noisy", set=settings))
-    path = tmp_path / "log.mcap"
-    log = identifier_record(cosim.run("academic-noisy", set=settings, out=path))
-    assert (
-        identify_records([memory]).assessment.to_dict()
-        == identify_records([log]).assessment.to_dict()
-    )
+    memory = cosim.run("academic-noisy", set=settings)
+    log = cosim.run("academic-noisy", set=settings, out=tmp_path / "log.mcap")
+    found = [cosim.identify(run).assessment.to_dict() for run in (memory, log)]
+    assert found[0] == found[1]
     for other in (memory, log):
         with pytest.raises(UsageError, match="has the rows of the run"):
-            identify_records([memory, other])
+            cosim.identify([memory, other])
 
 
 @pytest.mark.slow
@@ -216,5 +216,4 @@ def test_a_weak_parameter_has_its_advice_in_the_run_and_from_the_log(tmp_path):
     reason = log.results[IDENTIFICATION]["identifier"]["parameters"][1]["reason"]
     assert re.search(r"a disturbance \d times larger over the noise \[", reason)
     assert "data of any length [" in reason.partition("would supply it, ")[2]
-    found = identify_records([identifier_record(log)])
-    assert found.assessment.parameters[1].reason == reason
+    assert cosim.identify(log).assessment.parameters[1].reason == reason

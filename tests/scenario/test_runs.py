@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.errors import LogError, NonFiniteError, UsageError
+from cosim.errors import LogError, NonFiniteError, ScenarioError, UsageError
 from cosim.log import McapRecorder, open_log
 from cosim.report.summary import summarize
 from cosim.scenario.document.document import shipped
@@ -66,46 +66,27 @@ def test_neither_blocks_nor_compiled_stages_change_a_bit(name, changes, tmp_path
     assert {content(None, "called")} == hashes
 
 
-MIXED = """
-scenario = {{ name = "mixed", stop = 2.0, step = 0.01, coupling = "{coupling}" }}
-[components]
-reference = {{ kind = "step", time = 0.5 }}
-noise = {{ kind = "noise", deviation = 0.01, seed = 7 }}
-plant = {{ kind = "fmu", path = "{plant}", interface_type = "{interface_type}" }}
-measured = {{ kind = "sum", signs = [1.0, 1.0, -1.0] }}
-line = {{ kind = "delay", delay = 0.03 }}
-controller = {{ kind = "controller", A = [[-2.0]], B = [[1.0]], C = [[1.5]], period = 0.05 }}
-bound = {{ kind = "limit", lower = -0.4, upper = 0.4 }}
-
-[connections]
-"plant.u" = "bound.y"
-"plant.delta" = "noise.y"
-"measured.u1" = "plant.y"
-"measured.u2" = "noise.y"
-"measured.u3" = "reference.y"
-"line.u" = {{ from = "measured.y", gain = -1.0 }}
-"controller.u" = "line.y"
-"bound.u" = "controller.y"
-"""
-
-
 @pytest.mark.fast("jacobi-cs")
 @pytest.mark.parametrize("interface_type", ["me", "cs"])
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
+@pytest.mark.usefixtures("without_verdicts")
 def test_a_loop_with_an_fmu_a_sampled_controller_and_noise_repeats_and_replays(
     interface_type, coupling, tmp_path
 ):
     """Blocks, replays and verification do not notice what is in the loop."""
-    export_component("academic", "plant", tmp_path / "plant.fmu")
-    scenario = tmp_path / "mixed.toml"
-    scenario.write_text(
-        MIXED.format(plant=tmp_path / "plant.fmu", interface_type=interface_type, coupling=coupling)
-    )
+    export_component("closed-loop", "plant", tmp_path / "plant.fmu")
+    swap = {"plant": f"{tmp_path}/plant.fmu#{interface_type}"}
+    reference = {"kind": "noise", "deviation": 0.01, "seed": 7}
+    changes = {"scenario.coupling": coupling, "controller.period": 0.05, "reference": reference}
+    changes |= {"scenario.stop": 2.0, "scenario.step": 0.01, "observer.filter_rate": 100.0}
     logs = [
-        cosim.run(scenario, out=tmp_path / f"{block}.mcap", block=block) for block in (1000, 1, 7)
+        cosim.run(
+            "closed-loop", swap=swap, set=changes, out=tmp_path / f"{block}.mcap", block=block
+        )
+        for block in (1000, 1, 7)
     ]
     assert len({log.content_hash() for log in logs}) == 1
-    assert logs[0]["plant.y"].std() > 0.01
+    assert logs[0]["controller.y"].std() > 1e-3
     assert cosim.diff(logs[0], cosim.replay(tmp_path / "1000.mcap")).equal
 
 
@@ -126,7 +107,7 @@ def test_replay_with_other_parameters_changes_what_depends_on_them(logged):
     name, path, log = logged
     changes = {"observer.filter_rate": 500.0}
     if name in ("compensation", "pair"):  # all that it computes drives the plant
-        text = "'compensator', which drives 'plant'"
+        text = "'compensator', on which 'plant' depends"
         if name == "pair":
             changes = {"controller.gain": 0.4}
             text = "'controller', which drives 'motor'"
@@ -183,18 +164,6 @@ def test_a_design_is_not_reused_where_an_input_is_held_now(tmp_path):
     assert cosim.diff(by_run, by_replay).equal
 
 
-def test_a_log_of_something_else_is_refused(tmp_path):
-    """A log without a scenario cannot be replayed."""
-    from cosim.blocks.source import sine
-    from cosim.core import Clock, Graph, run
-    from cosim.log import McapRecorder
-
-    path = tmp_path / "bare.mcap"
-    run(Graph({"u": sine(rate=1.0)}, {}), Clock(1.0, 0.1), McapRecorder(path))
-    with pytest.raises(LogError, match=r"no scenario\.toml; expected a log written by cosim\.run"):
-        cosim.replay(path)
-
-
 @pytest.mark.usefixtures("without_verdicts")
 def test_numbered_logs_count_up(tmp_path):
     """A name is free where nothing stands: no file, no folder, no link that leads nowhere."""
@@ -216,6 +185,19 @@ def test_numbered_logs_count_up(tmp_path):
         cosim.run("academic", recorder=recorder)
 
 
+def test_a_swap_of_what_is_no_fmu_is_refused_by_its_place(tmp_path):
+    """The component, the file and the reason in one line; no file is written."""
+    path = tmp_path / "plant.fmu"
+    path.write_text("hello")
+    with pytest.raises(ScenarioError) as caught:
+        cosim.run("academic", swap={"plant": path}, out=tmp_path / "run.mcap")
+    assert caught.value.exit_code == 2
+    place = f"swap['plant']: components.plant: {path}: "
+    assert str(caught.value).startswith(f"{place}not an FMU, as it is no zip archive")
+    assert "\n" not in str(caught.value)
+    assert list(tmp_path.iterdir()) == [path]
+
+
 def test_options_of_a_log_are_refused_where_none_is_written(recorded):
     """It would be ignored."""
     cases = [
@@ -230,32 +212,12 @@ def test_options_of_a_log_are_refused_where_none_is_written(recorded):
                 act(**{option: True})
 
 
-def test_a_log_carries_what_it_takes_to_check_it(logged):
-    """Scenario text, parameters, designs, schedule and result are in the file."""
-    name, path, _ = logged
-    log = open_log(path)
-    assert log.status == "complete"
-    assert f'name = "{name}"' in log.attachment("scenario.toml").decode()
-    signal = "motor.x" if name == "pair" else "plant.x_a"
-    assert log.results["last"][f"{signal}[1]"] == log[signal][-1, 1]
-    records = ("run", "env", "schedule", "connections", "result")
-    assert set(log.metadata) >= {f"cosim.{record}" for record in records}
-
-
-def log_of(folder, scenario):
-    """Record a short run, once for a folder."""
-    path = folder / f"{scenario}.mcap"
-    if not path.exists():
-        cosim.run(scenario, out=path, set={"scenario.stop": 0.1})
-    return path
-
-
 OF_A_RECORDING = {"kind": "recording", "log": "b.mcap", "component": "plant"}
 UNFOLLOWED = {
     "academic": [
-        ({"u.amplitude": 2.0}, r"\['u\.amplitude'\]: .*'u', which drives 'plant'"),
-        ({"components.u.amplitude": 2.0}, "'u', which drives 'plant'"),
-        ({"u": {"kind": "constant", "value": 1.0}}, "'u', which drives 'plant'"),
+        ({"u.amplitude": 2.0}, r"\['u\.amplitude'\]: .*'u', on which 'plant' depends"),
+        ({"components.u.amplitude": 2.0}, "'u', on which 'plant' depends"),
+        ({"u": {"kind": "constant", "value": 1.0}}, "'u', on which 'plant' depends"),
         ({"delta.terms": [{"family": "sine", "theta": 2.0}]}, "'delta', which drives"),
         ({"connections.plant.u": "delta.y"}, "'plant' is taken from the recording"),
         ({"models.academic.Bu": [[0], [3], [1]]}, "'plant' is taken from the recording"),
@@ -265,8 +227,8 @@ UNFOLLOWED = {
         ({"scenario.input_interpolation": "zero-order"}, "may change the inputs of"),
     ],
     "closed-loop": [
-        ({"controller.B": [[5.0]]}, "'controller', which drives 'plant'"),
-        ({"observer.filter_rate": 500.0}, "which drives 'plant'"),
+        ({"controller.B": [[5.0]]}, "'controller', on which 'plant' depends"),
+        ({"observer.filter_rate": 500.0}, "on which 'plant' depends"),
         ({"connections.controller.u": "reference.y"}, "'controller', which drives"),
     ],
 }
@@ -276,47 +238,27 @@ UNFOLLOWED = {
 @pytest.mark.parametrize("scenario", UNFOLLOWED)
 def test_a_replay_refuses_what_its_recording_cannot_follow(tmp_path, scenario):
     """A change of a recorded component, or of what drives one, in every spelling."""
-    path = log_of(tmp_path, scenario)
+    path = tmp_path / "a.mcap"
+    cosim.run(scenario, out=path, set={"scenario.stop": 0.1})
     cases = [(set_, f"{named}.*run the scenario to change") for set_, named in UNFOLLOWED[scenario]]
     check_refused(cases, lambda changes: cosim.replay(path, set=changes))
 
 
 @pytest.mark.usefixtures("without_verdicts")
-def test_a_replay_says_what_it_is(tmp_path):
+def test_a_replay_says_what_it_is(recorded, tmp_path):
     """Its log names the log that it is made from, and what was copied from it."""
-    path = log_of(tmp_path, "academic")
-    log = cosim.open_log(path)
-    origin = replay_origin(cosim.replay(path, out=tmp_path / "b.mcap"))
-    assert origin == ReplayOrigin(os.path.relpath(path), log.content_hash(), ("plant",))
+    log = cosim.open_log(recorded)
+    origin = replay_origin(cosim.replay(recorded, out=tmp_path / "b.mcap"))
+    assert origin == ReplayOrigin(os.path.relpath(recorded), log.content_hash(), ("plant",))
     with pytest.raises(LogError, match="this is not a replay"):
         replay_origin(log)
 
 
 @pytest.mark.usefixtures("without_verdicts")
 def test_a_log_is_never_written_over_what_is_no_log(tmp_path):
-    """A log ends in .mcap, so a slip of the hand does not replace a scenario or an FMU.
-
-    The log that is being replayed is not replaced either.
-    """
+    """A log ends in .mcap, so a slip of the hand does not replace a scenario or an FMU."""
     with pytest.raises(UsageError, match=r"mine\.toml: expected a path that ends in \.mcap"):
         cosim.run("academic", out=tmp_path / "mine.toml", set={"scenario.stop": 0.1}, force=True)
-    cosim.run("academic", out=tmp_path / "a.mcap", set={"scenario.stop": 0.1})
-    with pytest.raises(UsageError, match="is the log being replayed; choose another path"):
-        cosim.replay(tmp_path / "a.mcap", out=tmp_path / "a.mcap", force=True)
-
-
-def test_a_run_in_memory_has_the_messages_and_results_of_a_log(tmp_path):
-    """Warnings, the messages of an FMU and the last row, also where nothing is written."""
-    lag.build(tmp_path, "2").rename(tmp_path / "lag.fmu")
-    scenario = tmp_path / "lagging.toml"
-    scenario.write_text(LAGGING)
-    log = cosim.run(scenario, out=tmp_path / "a.mcap")
-    memory = cosim.run(scenario)
-    (message,) = [m for m in memory.messages() if "inner step" in m.text]
-    assert (message.time_ns, message.level, message.source) == (100_000_000, "warning", "lag")
-    assert memory.messages() == log.messages()
-    assert memory.results["last"] == log.results["last"]
-    assert memory.results["last"]["lag.y"] == memory["lag.y"][-1]
 
 
 @pytest.mark.usefixtures("without_verdicts")
@@ -371,7 +313,7 @@ class Extremes:
 
 
 def test_a_recorder_of_ones_own_takes_a_scenario():
-    """Its rows, its warnings and its results; the run returns it, and keeps nothing else."""
+    """Its rows, its warnings, its results, and the error of a run that fails."""
     held = {"scenario.input_interpolation": "zero-order", "scenario.stop": 0.5}
     recorder = Extremes()
     assert cosim.run("academic", recorder=recorder, set=held, block=7) is recorder
@@ -388,11 +330,6 @@ def test_a_recorder_of_ones_own_takes_a_scenario():
     assert recorder.rows == memory.steps == 500
     values = np.concatenate([memory[label] for label in memory.results["last"]])
     assert recorder.largest == np.nanmax(np.abs(values))
-
-
-def test_a_recorder_of_ones_own_is_left_with_the_error_of_a_failed_run():
-    """The error is a message too, and reaches the caller."""
-    recorder = Extremes()
     bad = {"components.bad": {"kind": "expression", "y": "1/(t - 0.05)"}, "scenario.stop": 0.1}
     with pytest.raises(NonFiniteError):
         cosim.run("academic", recorder=recorder, set=bad)
@@ -422,39 +359,24 @@ def test_several_signals_of_a_recording_are_stacked():
 
 @pytest.mark.usefixtures("without_verdicts")
 def test_a_recording_must_cover_the_run_and_is_not_written_over(tmp_path):
-    """A recording that is too short or has no row is refused, and so is writing over it.
-
-    The error comes before the first step.
-    """
+    """Before the first step; a log that is replayed is not written over either."""
     path = tmp_path / "a.mcap"
     empty = tmp_path / "empty.mcap"
-    cosim.run("academic", out=path, set={"scenario.stop": 0.1})
+    short = {"scenario.stop": 0.1}
+    cosim.run("academic", out=path, set=short)
     with pytest.raises(UsageError, match=r"0\.0 s to 0\.2 s .*0\.0 s to 0\.1 s"):
         cosim.run("academic", swap={"plant": path}, set={"scenario.stop": 0.2})
     with pytest.raises(UsageError, match="is read by this run"):
-        cosim.run(
-            "academic", swap={"plant": path}, set={"scenario.stop": 0.1}, out=path, force=True
-        )
+        cosim.run("academic", swap={"plant": path}, set=short, out=path, force=True)
+    with pytest.raises(UsageError, match="is the log being replayed; choose another path"):
+        cosim.replay(path, out=path, force=True)
+    bad = {"u.offset": 1e308, "u.phase": 1.6, "u.amplitude": 1e308}
     with pytest.raises(NonFiniteError):
-        cosim.run(
-            "academic",
-            out=empty,
-            set={"u.offset": 1e308, "u.phase": 1.6, "u.amplitude": 1e308, "scenario.stop": 0.1},
-        )
+        cosim.run("academic", out=empty, set={**short, **bad})
     with pytest.raises(LogError, match="the log has no step to replay"):
         cosim.replay(empty)
 
 
-LAGGING = """
-scenario = { name = "lagging", stop = 0.2, step = 1e-3 }
-[components]
-u = { kind = "sine", amplitude = 1.0, rate = 1.0 }
-d = { kind = "constant", value = 0.0 }
-lag = { kind = "fmu", path = "lag.fmu", start = { inner = 0.01 } }
-[connections]
-"lag.u" = "u.y"
-"lag.d" = "d.y"
-"""
 LOOP = """
 scenario = { name = "loop", stop = 0.2, step = 1e-3 }
 [components]
@@ -484,6 +406,18 @@ def test_two_fmus_in_a_loop_do_not_hide_an_inner_step_from_each_other(tmp_path):
     fine = cosim.run(scenario, set={"components.a.start": {}, "components.b.start": {}})
     assert "inner step" not in str(fine.messages())
     assert summarize(fine).loops == ("gauss-seidel a b (a)",)
+
+
+def test_a_run_in_memory_has_the_messages_of_its_log(tmp_path):
+    """Those of FMUs, too: one that ignores the step, and has its input set to a mean."""
+    lag.build(tmp_path, "2").rename(tmp_path / "lag.fmu")
+    (tmp_path / "loop.toml").write_text(LOOP)
+    changes = {"components.u": {"kind": "sine", "rate": 1.0}, "connections.a.u": "u.y"}
+    log = cosim.run(tmp_path / "loop.toml", set=changes, out=tmp_path / "a.mcap")
+    assert cosim.run(tmp_path / "loop.toml", set=changes).messages() == log.messages()
+    (message,) = [m for m in log.messages() if "inner step" in m.text]
+    assert (message.time_ns, message.level, message.source) == (100_000_000, "warning", "a")
+    assert ("info", "a") in {m[1:3] for m in log.messages() if "to the mean of both" in m.text}
 
 
 def test_a_run_without_verdicts_has_the_bits_of_one_with_them(tmp_path):

@@ -12,8 +12,7 @@ import pytest
 
 import cosim
 from cosim.errors import ChangedFileError, DatasetError, UsageError
-from cosim.report.comparing import results_of
-from cosim.report.summary import summarize
+from cosim.report.summary import results_of, summarize
 from cosim.studies.design import plan_design
 from cosim.studies.plan import RecordedStudy, plan_study
 from cosim.studies.study_file import StudyOptions, read_study

@@ -39,8 +39,8 @@ class Tolerances:
     own: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        _check_tolerance("atol", self.atol)
-        _check_tolerance("rtol", self.rtol)
+        _check_tolerance(option("atol"), self.atol)
+        _check_tolerance(option("rtol"), self.rtol)
         if not isinstance(self.own, Mapping):
             raise UsageError(
                 f"{option('tol')}: expected a mapping such as {{'plant.y': 1e-6}}, got {self.own!r}"

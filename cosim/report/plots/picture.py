@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from io import BytesIO
+from itertools import product
 from pathlib import Path
 from textwrap import TextWrapper
 from typing import Any, Final, TypeAlias
@@ -37,6 +38,8 @@ _MOST_NAMES: Final = 24  # in the legend of a panel
 _NAMES_IN_COLUMN: Final = 8  # of it, at the standard height of a panel
 _MARGIN: Final = 0.97  # of the room of a text, that is used
 _ROOMY: Final = 0.5  # of the part of a picture that a panel has: its axes have more mostly
+_LETTER: Final = 0.22  # cm, the mean width of one in a legend
+_HANDLE: Final = 1.5  # cm of an entry of a legend beside its text
 _MOST_COLUMNS: Final = 6  # of a legend
 
 
@@ -146,8 +149,8 @@ class Picture:
         self._columns = columns or math.ceil(count / _MOST_ROWS)
         self._rows = math.ceil(count / self._columns)
         width, height = (22.0, 5.0) if self._columns == 1 else (32.0, 6.0)
-        size = np.array(options.size or (width, 3.0 + height * self._rows))
-        self._figure = _new_figure(figsize=size * _CENTIMETER, layout="constrained")
+        self._size = np.array(options.size or (width, 3.0 + height * self._rows))
+        self._figure = _new_figure(figsize=self._size * _CENTIMETER, layout="constrained")
         grid = self._figure.subplots(self._rows, self._columns, sharex=shares_time, squeeze=False)
         places = list(grid.flat)
         self.panels = places[:count]
@@ -162,21 +165,16 @@ class Picture:
 
         It has as many columns as fit side by side.
         """
-        place = "outside lower center" if below else "outside upper center"
-        room = self._figure.bbox.width
-        for columns in range(min(_MOST_COLUMNS, len(lines)), 0, -1):
-            legend = self._figure.legend(
-                handles=lines, loc=place, ncols=columns, frameon=False, title=title or None
-            )
-            _fit(legend.get_title(), _MARGIN * room)
-            width = legend.get_window_extent().width
-            if width <= room or columns == 1:
-                break
-            legend.remove()
-        texts = legend.get_texts()
-        handles = width - max(text.get_window_extent().width for text in texts)
-        for text in texts:
-            _fit(text, room - handles)
+        names = [line.get_label() for line in lines]
+        columns = int(self._size[0] / (_HANDLE + _LETTER * max(map(len, names))))
+        self._figure.legend(
+            lines,
+            [broken(name, int((self._size[0] - _HANDLE) / _LETTER)) for name in names],
+            loc="outside lower center" if below else "outside upper center",
+            ncols=min(max(columns, 1), _MOST_COLUMNS, len(lines)),
+            frameon=False,
+            title=broken(title, int(self._size[0] / _LETTER)) or None,
+        )
 
     def save(self, out: Path, *, title: str = "") -> None:
         """Write the picture to a file; ``title`` is its standard one.
@@ -202,7 +200,7 @@ class Picture:
                 self._fit_axes()
                 self._figure.savefig(picture, format=_format(out), dpi=_DOTS_PER_INCH)
             if problems:
-                width, height = self._figure.get_size_inches() / _CENTIMETER
+                width, height = self._size
                 raise UsageError(
                     f"size: {width:g} x {height:g} cm is too small for the axis labels of this "
                     "picture"
@@ -251,18 +249,15 @@ def show_legend(panel: Any) -> None:
     )
 
 
-def color_styles(count: int) -> list[Style]:
-    """Return a style for each of several curves: colors, then dashes too."""
-    looks = [{"linestyle": dashes, "color": color} for dashes in DASHES for color in COLORS]
-    return [{**looks[i % len(looks)], "linewidth": WIDTH} for i in range(count)]
+def distinguish_lines(panel: Any) -> None:
+    """Give the lines that follow colors, then dashes too."""
+    dashes, colors = zip(*product(DASHES, COLORS), strict=True)
+    panel.set_prop_cycle(color=colors, linestyle=dashes, linewidth=[WIDTH] * len(colors))
 
 
 def shown_text(name: str) -> str:
     """Return a name as matplotlib shows it: no mathematics, no control characters."""
     return printable_line(name).replace("$", r"\$")
-
-
-# --- texts that fit ---
 
 
 class _NameWrapper(TextWrapper):
@@ -276,7 +271,7 @@ def broken(text: str, count: int) -> str:
 
     A part of a name that is longer is broken anywhere.
     """
-    wrapper = _NameWrapper(count)
+    wrapper = _NameWrapper(max(count, 1))
     lines = [part for line in text.split("\n") for part in wrapper.wrap(line) or [""]]
     return "\n".join(map(str.rstrip, lines))
 

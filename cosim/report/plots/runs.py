@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import cycle
+from itertools import chain, cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -24,11 +24,10 @@ from cosim.report.plots.picture import (
     DASHES,
     LARGEST_DRAWN,
     STANDARD,
-    WIDTH,
     Picture,
     PictureOptions,
     Style,
-    color_styles,
+    distinguish_lines,
     need_plot,
     show_legend,
     shown_text,
@@ -39,11 +38,10 @@ from cosim.report.recorded_rows import (
     has_signal,
     recorded_port,
     rows_of,
-    stacked_units,
 )
 from cosim.scenario.record import run_metadata, truth_of
 from cosim.theory.quantiles import CONFIDENCE, normal_two_sided
-from cosim.units import Unit, conversion, units_text, with_unit
+from cosim.units import Unit, conversion
 
 if TYPE_CHECKING:
     from cosim.report.comparing import Comparison, EstimatorComparison
@@ -51,10 +49,7 @@ if TYPE_CHECKING:
 MOST_OUTPUTS: Final = 12  # of a run without truth that a picture shows
 FAR_BEYOND: Final = 10.0  # times how far most curves of a panel reach: it is not for these
 _LIMIT: Final[Style] = {"color": "0.4", "linewidth": 0.9}
-_PAIR: Final[tuple[Style, Style]] = (
-    {"color": COLORS[0], "linewidth": 2.0 * WIDTH},
-    {"color": COLORS[1], "linewidth": WIDTH},
-)  # the wider one stays visible under the other
+_WIDEST, _THINNEST = 2.6, 1.0  # lines of the first and the last of several runs [points]
 TRUTH: Final[Style] = {"color": "0.75", "linewidth": 3.0}
 ZERO: Final[Style] = {"color": "0.75", "linewidth": 1.0}
 SCIENTIFIC: Final = (-2, 3)  # powers of ten of numbers written in full, of errors
@@ -97,7 +92,7 @@ class Curve:
         band = 0.0 if self.band is None else self.band
         return self.values - band, self.values + band
 
-    def draw(self, panel: Any, style: Style, *, label: str | None = None) -> None:
+    def draw(self, panel: Any, **style: Any) -> None:
         """Draw the curve as it is between two rows, and its band.
 
         Raises
@@ -113,11 +108,11 @@ class Curve:
                 f"{LARGEST_DRAWN:g}"
             )
         drawstyle = "steps-post" if self.held else "default"
-        panel.plot(self.times, self.values, drawstyle=drawstyle, label=label, **style)
+        (line,) = panel.plot(self.times, self.values, drawstyle=drawstyle, **style)
         if self.band is not None:
             edges = np.clip(self.edges, -LARGEST_DRAWN, LARGEST_DRAWN)
             step = "post" if self.held else None
-            look = {"color": style["color"], "alpha": _FAINT, "linewidth": 0.0}
+            look = {"color": line.get_color(), "alpha": _FAINT, "linewidth": 0.0}
             panel.fill_between(self.times, *edges, step=step, **look)
 
     def within(self, options: PictureOptions) -> Curve:
@@ -160,10 +155,8 @@ class Curve:
         return replace(self, unit=other.unit, values=values, band=band)
 
 
-def curves_of(
-    recording: Recording, port: str, *, like: Sequence[Unit] | None = None, run: str = ""
-) -> list[Curve]:
-    """Return a curve for each element of a port; in the units ``like``, if given.
+def curves_of(recording: Recording, port: str, *, run: str = "") -> list[Curve]:
+    """Return a curve for each element of a port.
 
     Raises
     ------
@@ -171,11 +164,10 @@ def curves_of(
         If there is no such component, signal or element.
     """
     found = recorded_port(recording, port)
-    rows = rows_of(recording, port, like=like)
     times = recording.time_ns(found.channel.name) / 1e9
     names = Port.parse(port).element_names(found.size)
     held = found.signal.variability == "discrete"
-    elements = zip(names, like or found.measures, rows.T, strict=True)
+    elements = zip(names, found.measures, rows_of(recording, port).T, strict=True)
     return [Curve(name, unit, times, values, held, run) for name, unit, values in elements]
 
 
@@ -209,14 +201,16 @@ def truth_curves(recording: Recording, estimate: str) -> list[Curve]:
     true = truth_of(recording).get(estimate)
     if true is None:
         return []
+    own = curves_of(recording, estimate)
     ports = named_ports(true)
     if ports:
-        units = stacked_units(recording, ports, estimate)
-        pairs = zip(ports, units, strict=True)
-        return [one for port, like in pairs for one in curves_of(recording, port, like=like)]
+        signals = chain.from_iterable(curves_of(recording, port) for port in ports)
+        return [one.in_unit_of(like) for one, like in zip(signals, own, strict=True)]
     values = np.atleast_1d(np.array(true, np.float64))
-    elements = zip(curves_of(recording, estimate), values, strict=True)
-    return [replace(one, times=np.zeros(0), values=value[np.newaxis]) for one, value in elements]
+    return [
+        replace(one, times=np.zeros(0), values=value[np.newaxis])
+        for one, value in zip(own, values, strict=True)
+    ]
 
 
 def error_curves(recording: Recording, estimate: str) -> list[Curve]:
@@ -228,33 +222,36 @@ def error_curves(recording: Recording, estimate: str) -> list[Curve]:
     if true is None:
         return []
     curves = estimate_curves(recording, estimate)
-    times = curves[0].times
+    all_times = times = curves[0].times
     rows = rows_of(recording, estimate)
     ports = named_ports(true)
     if ports:
         time_ns, rows, true = beside_truth(recording, estimate, ports)
         times = time_ns / 1e9
-    has_all = len(times) == len(curves[0].times)
-    return [
-        replace(
-            curve,
-            name=f"error of {curve.name}",
-            times=times,
-            values=values,
-            band=curve.band if has_all else None,
-        )
-        for curve, values in zip(curves, (rows - np.array(true, np.float64)).T, strict=True)
-    ]
+    errors = []
+    for curve, values in zip(curves, (rows - np.array(true, np.float64)).T, strict=True):
+        band = curve.band if len(times) == len(all_times) else None
+        name = f"error of {curve.name}"
+        errors.append(replace(curve, name=name, times=times, values=values, band=band))
+    return errors
 
 
 # --- what a panel shows ---
 
 
-def draw_curves(panel: Any, curves: Sequence[Curve], styles: Sequence[Style] | None = None) -> None:
-    """Draw curves into a panel, with their names and units; by default in the standard styles.
+def draw_curves(panel: Any, curves: Sequence[Curve], runs: Sequence[str] = ()) -> None:
+    """Draw curves into a panel, with their names and units.
 
     All are shown in the unit of the first; where elements of one signal cannot be, each in its own.
-    The axis has the name of the signal, or of the element, that all are of.
+    The axis has the name of the signal, or of the element, that all are of. Of several runs each
+    has its color, and their signals have the same dashes.
+
+    Parameters
+    ----------
+    panel : Axes of matplotlib
+    curves : sequence of Curve
+    runs : sequence of str
+        All runs of the picture, which has a legend of them; by default those of the curves.
 
     Raises
     ------
@@ -262,22 +259,37 @@ def draw_curves(panel: Any, curves: Sequence[Curve], styles: Sequence[Style] | N
         If the units of several signals are of different kinds.
     """
     first = curves[0]
-    names = {curve.name for curve in curves}
+    names = list(dict.fromkeys(curve.name for curve in curves))
     signals = {name.partition("[")[0] for name in names}
+    dashes = dict(zip(names, cycle(DASHES), strict=False))
+    known = runs or list(dict.fromkeys(curve.run for curve in curves))
     has_own_units = False
-    if len(signals) == 1 and len({curve.run for curve in curves}) == 1:
+    if len(signals) == len(known) == 1:
         has_own_units = any(conversion(curve.unit, first.unit) is None for curve in curves)
-    for curve, style in zip(curves, styles or color_styles(len(curves)), strict=True):
+    distinguish_lines(panel)
+    for curve in curves:
         shown = curve if has_own_units else curve.in_unit_of(first)
         unit = _bracketed(curve.unit) if has_own_units else ""
-        shown.draw(panel, style, label=f"{shown_text(f'{curve.name}{curve.run}')} {unit}".rstrip())
-    common = ""
-    if len(signals) == 1:
-        common = first.name if len(names) == 1 else first.name.partition("[")[0]
+        style: dict[str, Any] = {}
+        if len(known) > 1:
+            style |= run_style(known.index(curve.run), len(known))
+            style["linestyle"] = dashes[curve.name]
+        if not runs:
+            style["label"] = f"{shown_text(f'{curve.name}{curve.run}')} {unit}".rstrip()
+        shown.draw(panel, **style)
+    common = min(names if len(names) == 1 else signals) if len(signals) == 1 else ""
     unit = "" if has_own_units else _bracketed(first.unit)
     panel.set_ylabel(f"{shown_text(common)} {unit}".strip())
-    if len(curves) > 1:
+    for name in names if runs else ():
+        panel.plot([], [], color="0.3", linestyle=dashes[name], label=shown_text(name))
+    if len(names if runs else curves) > 1:
         show_legend(panel)
+
+
+def run_style(number: int, count: int) -> Style:
+    """Return color and width of one of several runs: equal curves of later ones are thinner."""
+    width = float(np.linspace(_WIDEST, _THINNEST, count)[number])
+    return {"color": COLORS[number % len(COLORS)], "linewidth": width}
 
 
 def _bracketed(unit: Unit) -> str:
@@ -288,7 +300,7 @@ def draw_truth(panel: Any, truth: Sequence[Curve]) -> None:
     """Draw true signals in gray, and true values as lines all the time."""
     for one in truth:
         if len(one.times):
-            one.draw(panel, TRUTH)
+            one.draw(panel, **TRUTH)
         else:
             panel.axhline(one.values[0], **TRUTH)
 
@@ -316,11 +328,29 @@ def draw_pair(
     return beside
 
 
+def draw_estimate(
+    panels: Sequence[Any], recording: Recording, estimate: str, options: PictureOptions = STANDARD
+) -> bool:
+    """Draw a recorded estimate as :func:`draw_pair` does; return whether there is a truth.
+
+    The panels are limited to what they show after transients.
+    """
+    curves, truth, errors = (
+        [one.within(options) for one in whole(recording, estimate)]
+        for whole in (estimate_curves, truth_curves, error_curves)
+    )
+    beside = draw_pair(panels, curves, truth, errors)
+    if truth:
+        limit_to_settled(panels[0], curves, truth)
+    limit_to_settled(panels[1], beside)
+    return bool(truth)
+
+
 def limit_to_settled(panel: Any, curves: Sequence[Curve], truth: Sequence[Curve] = ()) -> None:
     """Limit a panel to the truth and the second half of curves: transients would hide these."""
     parts = [np.zeros(0), *(one.values for one in truth)]
     for curve in curves:
-        parts += map(second_half, (curve.values, *curve.edges))
+        parts += map(_second_half, (curve.values, *curve.edges))
     values = np.concatenate(parts)
     finite = values[np.isfinite(values)]
     if len(finite):
@@ -328,7 +358,7 @@ def limit_to_settled(panel: Any, curves: Sequence[Curve], truth: Sequence[Curve]
         panel.set_ylim(finite.min() - margin, finite.max() + margin)
 
 
-def second_half(values: Vector) -> Vector:
+def _second_half(values: Vector) -> Vector:
     """Return the second half of the values of a curve."""
     return values[len(values) // 2 :]
 
@@ -367,20 +397,15 @@ def plot_signals(
         raise UsageError(f"expected names of signals, such as 'plant.y', got {signals!r}")
     runs = list(recordings) if isinstance(recordings, Sequence) else [recordings]
     labels = _short_labels(runs)
-    lines: list[Style] = [{}]  # of each run, so that equal ones stay visible
-    if len(runs) > 1:
-        widths = np.linspace(2.4, 1.0, len(runs))
-        lines = [{"linestyle": one, "linewidth": w} for one, w in zip(cycle(DASHES), widths)]
     picture = Picture(len(signals), options)
     for panel, entry in zip(picture.panels, signals, strict=True):
-        curves: list[Curve] = []
-        styles: list[Style] = []
-        for run, label, line in zip(runs, labels, lines, strict=True):
-            for port in split_names(entry):
-                curves += [one.within(options) for one in curves_of(run, port, run=label)]
-            styles += [line] * (len(curves) - len(styles))
-        colored = zip(color_styles(len(curves)), styles, strict=True)
-        draw_curves(panel, curves, [{**color, **line} for color, line in colored])
+        curves = [
+            curve.within(options)
+            for run, label in zip(runs, labels, strict=True)
+            for port in split_names(entry)
+            for curve in curves_of(run, port, run=label)
+        ]
+        draw_curves(panel, curves)
     picture.save(out)
 
 
@@ -401,36 +426,26 @@ def plot_run(recording: Recording, out: Path, options: PictureOptions = STANDARD
     title = run_metadata(recording).get("scenario", "")
     estimates = list(truth_of(recording))
     if not estimates:
-        _plot_outputs(recording, out, options, title)
+        names = []
+        for component, channel in recording.channels.items():
+            outputs = channel.interface.outputs
+            shown = [signal for signal in outputs if signal.role != "state"] or outputs
+            names += [f"{component}.{signal.name}" for signal in shown]
+        if not names:
+            raise UsageError(
+                "the run has no outputs to show; name signals: cosim plot LOG SIGNAL..."
+            )
+        if len(names) > MOST_OUTPUTS:
+            title = f"{title}: the first {MOST_OUTPUTS} of {len(names)} outputs"
+        titled = options if options.title is not None else replace(options, title=title)
+        plot_signals(recording, names[:MOST_OUTPUTS], out, titled)
         return
     picture = Picture(2 * len(estimates), options, columns=2)
     panels = picture.panels
     for left, right, estimate in zip(panels[::2], panels[1::2], estimates, strict=True):
-        curves, truth, errors = (
-            [one.within(options) for one in whole(recording, estimate)]
-            for whole in (estimate_curves, truth_curves, error_curves)
-        )
-        draw_pair((left, right), curves, truth, errors)
-        limit_to_settled(left, curves, truth)
-        limit_to_settled(right, errors)
+        draw_estimate((left, right), recording, estimate, options)
     panels[0].set_title("estimates (lines) and truth (gray)", fontsize="medium")
     panels[1].set_title("errors", fontsize="medium")
-    picture.save(out, title=title)
-
-
-def _plot_outputs(recording: Recording, out: Path, options: PictureOptions, title: str) -> None:
-    names = []
-    for component, channel in recording.channels.items():
-        outputs = channel.interface.outputs
-        shown = [signal for signal in outputs if signal.role != "state"] or outputs
-        names += [f"{component}.{signal.name}" for signal in shown]
-    if not names:
-        raise UsageError("the run has no outputs to show; name signals: cosim plot LOG SIGNAL...")
-    if len(names) > MOST_OUTPUTS:
-        title = f"{title}: the first {MOST_OUTPUTS} of {len(names)} outputs"
-    picture = Picture(min(len(names), MOST_OUTPUTS), options)
-    for panel, name in zip(picture.panels, names, strict=False):
-        draw_curves(panel, [one.within(options) for one in curves_of(recording, name)])
     picture.save(out, title=title)
 
 
@@ -459,8 +474,8 @@ def plot_difference(comparison: LogDifference, runs: Sequence[Recording], out: P
     both: list[Curve] = []
     for run, label in zip(runs, _short_labels(runs), strict=True):
         both += curves_of(run, apart.name, run=label)
-    draw_curves(above, both, _PAIR)
-    draw_curves(below, [replace(apart, name="b - a")], [{"color": COLORS[2]}])
+    draw_curves(above, both)
+    draw_curves(below, [replace(apart, name="b - a")])
     if worst.tolerance > 0.0:
         below.axhline(worst.tolerance, label="tolerance", linestyle="--", **_LIMIT)
         below.axhline(-worst.tolerance, linestyle="--", **_LIMIT)
@@ -486,61 +501,48 @@ def plot_comparison(comparison: Comparison | EstimatorComparison, out: Path) -> 
     recordings = comparison.recordings
     if not comparison.estimates:
         raise UsageError("no run has an estimate with a [truth], so there is nothing to compare")
-    widths = np.linspace(2.8, 1.0, len(recordings))  # leave equal lines visible
-    styles: dict[str, Style] = {
-        run: {"color": color, "linewidth": width}
-        for run, color, width in zip(recordings, cycle(COLORS), widths)
-    }
-    first = next(iter(recordings))
+    runs = list(recordings)
     picture = Picture(2 * len(comparison.estimates), STANDARD, columns=2)
     panels = picture.panels
     rows = zip(panels[::2], panels[1::2], comparison.estimates.items(), strict=True)
     for left, right, (estimate, true) in rows:
-        runs = {run: one for run, one in recordings.items() if has_signal(one, estimate)}
-        for recording in runs.values():
-            if truth_of(recording).get(estimate) == true:
-                truth = truth_curves(recording, estimate)
+        with_it = [run for run in runs if has_signal(recordings[run], estimate)]
+        for run in with_it:
+            if truth_of(recordings[run]).get(estimate) == true:
+                truth = truth_curves(recordings[run], estimate)
                 draw_truth(left, truth)
-                limit_to_settled(left, curves_of(recording, estimate), truth)
+                limit_to_settled(left, curves_of(recordings[run], estimate), truth)
                 break
-        drawn: list[Curve] = []
-        for run, recording in runs.items():
-            _draw_elements(left, curves_of(recording, estimate), styles[run])
-            measures = recorded_port(recording, estimate).measures
-            left.set_ylabel(with_unit(estimate, units_text(measures) or None))
-            if first in runs and run != first:
-                curves = difference_curves(recordings[first], recording, estimate)
-                _draw_elements(right, curves, styles[run])
-                drawn += curves
-        limit_to_settled(right, near_most(drawn))
+        estimates: list[Curve] = []
+        apart: list[Curve] = []
+        for run in with_it:
+            estimates += curves_of(recordings[run], estimate, run=run)
+            if runs[0] in with_it and run != runs[0]:
+                curves = difference_curves(recordings[runs[0]], recordings[run], estimate)
+                apart += [replace(curve, run=run) for curve in curves]
+        for panel, drawn in ((left, estimates), (right, apart)):
+            if drawn:
+                draw_curves(panel, drawn, runs)
+        limit_to_settled(right, _near_most(apart))
         right.ticklabel_format(axis="y", scilimits=SCIENTIFIC)
-        names = list(dict.fromkeys(curve.name for curve in drawn))
-        if len(names) > 1:
-            for name, dashes in zip(names, cycle(DASHES)):
-                right.plot([], [], color="0.3", linestyle=dashes, label=name)
-            show_legend(right)
     panels[0].set_title("estimates", fontsize="medium")
-    panels[1].set_title(f"difference to {first}", fontsize="medium")
+    panels[1].set_title(f"difference to {runs[0]}", fontsize="medium")
+    styles = {run: run_style(number, len(runs)) for number, run in enumerate(runs)}
     named = {**styles, "truth": TRUTH}
     picture.legend([panels[0].plot([], [], label=run, **named[run])[0] for run in named])
     picture.save(out)
 
 
-def near_most(curves: Sequence[Curve]) -> list[Curve]:
+def _near_most(curves: Sequence[Curve]) -> list[Curve]:
     """Return the curves without those whose second half is far beyond that of most others.
 
     A method that fails would hide all the others; it leaves the panel, and the left one shows it.
     """
-    halves = [np.abs(second_half(curve.values)) for curve in curves]
+    halves = [np.abs(_second_half(curve.values)) for curve in curves]
     reaches = [float(half[np.isfinite(half)].max(initial=0.0)) for half in halves]
     shown = [reach for reach in reaches if reach > 0.0]
     farthest = FAR_BEYOND * float(np.median(shown)) if shown else 0.0
     return [curve for curve, reach in zip(curves, reaches, strict=True) if reach <= farthest]
-
-
-def _draw_elements(panel: Any, curves: Sequence[Curve], style: Style) -> None:
-    for curve, dashes in zip(curves, cycle(DASHES)):
-        curve.draw(panel, {**style, "linestyle": dashes})
 
 
 def _short_labels(recordings: Sequence[Recording]) -> list[str]:

@@ -34,7 +34,7 @@ def show_catalog() -> Shown:
 
     scenarios = {}
     for name in shipped():
-        tree, _ = find(name).tree()
+        tree = find(name).tables().tree
         scenarios[name] = tree["scenario"].get("description", "")
     installed = []
     for entries in installed_classes().values():
@@ -118,7 +118,6 @@ def _parameter_table(
     title: str, parameters: Mapping[str, Any], tunable: Collection[str] = ()
 ) -> Table:
     """Return keys with their defaults, what they mean, and which are tunable, where any is."""
-    headings = ["parameter", "default", "in a run", "meaning"]
     rows = []
     for name, parameter in parameters.items():
         default = json.dumps(parameter["default"])
@@ -126,9 +125,7 @@ def _parameter_table(
             default = "required"
         elif parameter["default"] in (None, {}, ""):
             default = "optional"
-        in_a_run = "tunable" if name in tunable else ""
-        rows.append([name, default, in_a_run, parameter["description"]])
-    if not tunable:
-        for cells in (headings, *rows):
-            del cells[2]
-    return new_table(title, headings, rows)
+        in_a_run = ["tunable" if name in tunable else ""] if tunable else []
+        rows.append([name, default, *in_a_run, parameter["description"]])
+    in_a_run = ["in a run"] if tunable else []
+    return new_table(title, ("parameter", "default", *in_a_run, "meaning"), rows)

@@ -21,6 +21,7 @@ _WIDTH: Final = 80  # columns of a terminal that does not say
 _GAP: Final = 2  # blanks between columns
 _FOLDED: Final = 40  # characters of a word in the last column, such as a path, that may be broken
 _NO_NUMBERS: Final = {"NaN": "nan", "Infinity": "inf", "-Infinity": "-inf"}  # in JSON
+Section: TypeAlias = dict[str, Any]  # what is said of something, as JSON has it
 Shown: TypeAlias = Iterator[Any]  # first what JSON has; then lines, tables and lists of tables
 
 

@@ -1,38 +1,34 @@
-"""What is said of logs: how one is verified, what of it was recovered, in which files it is."""
+"""What is said of logs: how one is verified, recovered, in which files it is, how two differ."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeGuard
+from typing import TYPE_CHECKING, Final, TypeGuard
 
 from cosim.core.recorded.signals import warning_texts
-from cosim.core.recording import Recording
 from cosim.instants import NANOSECONDS
 from cosim.log import Log
 from cosim.log.contents.result import PARTIAL, PARTIAL_STATUS
 from cosim.log.mcap_file.rotation import part_paths
-from cosim.report.printable import print_notice, print_text
-from cosim.report.tables.console import Shown, new_table, print_json, print_table
+from cosim.report.printable import print_notice
+from cosim.report.tables.console import Section, Shown, new_table
 from cosim.scenario.record import component_record
 
 if TYPE_CHECKING:
+    from cosim.log.comparison.difference import LogDifference
+    from cosim.log.comparison.event_difference import EventsDifference
     from cosim.log.editing.recovering import RecoveredLog
     from cosim.report.verification import Verification
 
 _MOST_INTERVALS: Final = 8  # of a component that are shown
 
 
-def print_verification(
-    verification: Verification, source: Recording, *, path: Path, as_json: bool, quiet: bool
-) -> None:
-    """Print what a replay proves of its log."""
-    if as_json:
-        print_json(verification.to_dict())
-    elif verification.passed and not quiet:
-        for line in verification.lines:
-            print_text(f"{path}: {line}")
-    if verification.passed or as_json:
+def show_verification(verification: Verification, path: Path, *, quiet: bool) -> Shown:
+    """Show what a replay proves of its log; what is wrong goes to stderr."""
+    yield verification.to_dict()
+    if verification.passed:
+        yield from [] if quiet else [f"{path}: {line}" for line in verification.lines]
         return
     for problem in verification.problems:
         print_notice(f"{path}: {problem}")
@@ -40,31 +36,29 @@ def print_verification(
         return
     for key, (recorded, current) in verification.environment.items():
         print_notice(f"note: {key} was {recorded}, is {current}")
-    for name in source.channels:
-        bits = component_record(source, name).bits
+    for name in verification.source.channels:
+        bits = component_record(verification.source, name).bits
         if bits is not None:
             print_notice(f"note: {name}: {bits}")
 
 
 def show_recovery(recovery: RecoveredLog) -> Shown:
     """Show the rows of each component that are there, and the times of those that are lost."""
-    yield recovery.to_dict()
+    content = recovery.to_dict()
+    yield content
     table = []
-    for name, rows in recovery.rows.items():
-        shown = []
-        for interval in rows.lost[:_MOST_INTERVALS]:
-            first = interval.first_ns / NANOSECONDS
-            last = interval.last_ns / NANOSECONDS
-            shown.append(f"{interval.count} from {first} s to {last} s")
-        omitted = [interval.count for interval in rows.lost[_MOST_INTERVALS:]]
-        if omitted:
-            plural = "" if len(omitted) == 1 else "s"
-            shown.append(f"{sum(omitted)} in {len(omitted)} more interval{plural}")
-        table.append((name, str(rows.count), "; ".join(shown) or "0"))
+    for name, rows in content["components"].items():
+        lost = rows["lost"]
+        shown = [f"{one['rows']} from {one['from']} s to {one['to']} s" for one in lost]
+        omitted = len(lost) - _MOST_INTERVALS
+        if omitted > 0:
+            count = sum(one["rows"] for one in lost[_MOST_INTERVALS:])
+            plural = "" if omitted == 1 else "s"
+            shown[_MOST_INTERVALS:] = [f"{count} in {omitted} more interval{plural}"]
+        table.append((name, str(rows["rows"]), "; ".join(shown) or "0"))
     yield new_table("", ("component", "rows", "lost"), table)
     if not recovery.end_is_known:
-        end = recovery.end_ns / NANOSECONDS
-        yield f"any rows after {end} s are lost, too: the file has no end"
+        yield f"any rows after {content['end']} s are lost, too: the file has no end"
     if not recovery.has_all_messages:
         yield "messages, events or substeps are lost, too, or their number is unknown"
     if not recovery.has_scenario:
@@ -73,10 +67,8 @@ def show_recovery(recovery: RecoveredLog) -> Shown:
     whole_ns = recovery.whole_until_ns
     if log.status == PARTIAL_STATUS and whole_ns is not None and not log.begins_late:
         whole = whole_ns / NANOSECONDS
-        yield (
-            f"no row is lost up to {whole} s: with '--to {whole}', 'cosim cut' makes a log that "
-            "can be replayed"
-        )
+        cut = f"with '--to {whole}', 'cosim cut' makes a log that can be replayed"
+        yield f"no row is lost up to {whole} s: {cut}"
     yield ended(log)
 
 
@@ -94,8 +86,8 @@ def is_rotated(recording: object) -> TypeGuard[Log]:
     )
 
 
-def print_rotated(last: Log, *, wall: Mapping[str, float], as_json: bool, quiet: bool) -> None:
-    """Print how a run ended and which files it wrote; none of them is the whole.
+def show_rotated(last: Log, wall: Mapping[str, float]) -> Shown:
+    """Show how a run ended and which files it wrote; none of them is the whole.
 
     Parameters
     ----------
@@ -103,10 +95,9 @@ def print_rotated(last: Log, *, wall: Mapping[str, float], as_json: bool, quiet:
         The last of them.
     wall : mapping of name to float
         Wall times [s].
-    as_json, quiet : bool
     """
     whole = last.metadata.get(PARTIAL, {})
-    content: dict[str, Any] = {
+    content: Section = {
         "logs": [str(path) for path in part_paths(last.path)],
         "status": whole.get("status", ""),
         "reason": whole.get("reason", ""),
@@ -114,19 +105,67 @@ def print_rotated(last: Log, *, wall: Mapping[str, float], as_json: bool, quiet:
         "end": last.end_ns / NANOSECONDS,
         "content_hash": whole.get("content_hash", ""),
     }
-    if as_json:
-        print_json({**content, "results": dict(last.results), "wall": dict(wall)})
-    elif not quiet:
-        for text in warning_texts(last.warnings):
-            print_notice(f"warning: {text}")
-        rows = [
-            ("status", ", ".join(filter(None, (content["status"], content["reason"])))),
-            ("steps", f"{last.steps}, up to {content['end']} s"),
-            ("content hash", content["content_hash"]),
-            *(("log", path) for path in content["logs"]),
-        ]
-        print_table(new_table("", ("", ""), rows))
-        print_text(
-            "each file has a part of the run; 'cosim merge' joins them, and 'cosim replay' of the "
-            "last one replays the run"
+    yield {**content, "results": dict(last.results), "wall": dict(wall)}
+    for text in warning_texts(last.warnings):
+        print_notice(f"warning: {text}")
+    rows = [
+        ("status", ", ".join(filter(None, (content["status"], content["reason"])))),
+        ("steps", f"{last.steps}, up to {content['end']} s"),
+        ("content hash", content["content_hash"]),
+        *(("log", path) for path in content["logs"]),
+    ]
+    yield new_table("", ("", ""), rows)
+    yield (
+        "each file has a part of the run; 'cosim merge' joins them, and 'cosim replay' of the "
+        "last one replays the run"
+    )
+
+
+def show_difference(difference: LogDifference) -> Shown:
+    """Show how far two logs are apart."""
+    yield difference.to_dict()
+    columns = ["signal", "", "tolerance", "max |a - b|", "max |a|", "ratio", "first outside"]
+    rows = []
+    for row in difference.rows:
+        outside = ""
+        if row.first is not None:
+            time = row.first.time_ns / 1e9
+            outside = f"{row.first.signal} at {time} s: {', '.join(row.first.texts)}"
+        numbers = (row.tolerance, row.largest, row.scale, row.ratio)
+        texts = ["" if number is None else f"{number:.3g}" for number in numbers]
+        rows.append([row.signal, row.status, *texts, outside])
+    if not difference.tol:  # of single signals
+        for cells in (columns, *rows):
+            del cells[2]
+    yield new_table("", columns, rows)
+    for row in difference.rows:
+        in_a, in_b, both = row.rows
+        if row.status in ("equal", "within", "other times") and both < max(in_a, in_b):
+            yield (
+                f"note: compared only where both logs have rows: {row.signal} at {both} instants "
+                f"({in_a} in a, {in_b} in b)"
+            )
+            break
+    if any(difference.events.events):
+        yield _events_text(difference.events)
+    if any(row.largest > 0.0 and row.signal.endswith(".delta") for row in difference.rows):
+        yield (
+            "note: a reconstructed disturbance amplifies rounding errors of y by filter_rate; "
+            "give it its own --tol"
         )
+
+
+def _events_text(difference: EventsDifference) -> str:
+    """Return how the jumps compare, in words."""
+    in_a, in_b = difference.events
+    text = f"events: {in_a} in a, {in_b} in b: "
+    first = difference.first
+    if first is None:
+        return f"{text}{'equal' if difference.equal else 'within the tolerance'}"
+    jumps = []
+    for jump in (first.a, first.b):
+        jumps.append("no jump" if jump is None else f"{jump.cause} {jump.value!r}")
+    return (
+        f"{text}{difference.outside} of {difference.jumps} jumps differ; first "
+        f"{first.signal} at {first.time_ns / 1e9} s: {', '.join(jumps)}"
+    )

@@ -16,14 +16,14 @@ from cosim.core.recording import Recording
 from cosim.errors import CosimError, flag, listing, option, quoted
 from cosim.log import Log
 from cosim.report.certificate import StepCertificate, certificate_of
-from cosim.report.estimators import bad_verdicts, by_reason, value_text
+from cosim.report.estimators import bad_verdicts, value_text
 from cosim.report.printable import print_notice
 from cosim.report.recorded_rows import recorded_port
 from cosim.report.summary import Summary, span, summarize
 from cosim.report.tables.console import new_table, print_json, print_tables
 from cosim.scenario.building.coupling import gain_text
 from cosim.scenario.record import recorded_start, recorded_window
-from cosim.theory.documents import ParameterVerdict, Verdict
+from cosim.theory.documents import ParameterVerdict
 
 # what times or values are taken for: a wrong one is a wrong result, so that it is always said
 _TAKEN: Final = re.compile(r"\bunits?\b|\btimes are\b|\bsame time\b|\bstamps?\b")
@@ -114,9 +114,9 @@ def _run_tables(
 
 def _print_quietly(recording: RecordedRun) -> None:
     """Print what nobody who trusts the result may miss."""
-    for names, verdict, reason in bad_verdicts(recording):
-        if verdict:
-            print_notice(f"warning: {names}: {verdict}: {reason}")
+    for what, text in bad_verdicts(recording):
+        if what:
+            print_notice(f"warning: {text}")
     taken = [warning for warning in recording.warnings if _TAKEN.search(warning.text)]
     for text in warning_texts(taken):
         print_notice(f"warning: {text}")
@@ -130,12 +130,10 @@ def failure_lines(run: RecordedRun, fail_on: Collection[str], *, quiet: bool) ->
     lines = []
     asked = [name for name in ("no-estimate", "inconsistent") if name in fail_on]
     if asked:
-        for names, verdict, reason in bad_verdicts(run):
-            name = "inconsistent" if verdict == Verdict.INCONSISTENT else "no-estimate"
-            if not verdict:
-                name = asked[0]
+        for what, text in bad_verdicts(run):
+            name = what or asked[0]
             if name in asked:
-                lines.append(f"{option('fail-on', name)}: {names}: {verdict or reason}")
+                lines.append(f"{option('fail-on', name)}: {text}")
     if "warning" in fail_on and run.warnings:
         texts = warning_texts(run.warnings) if quiet else [f"{len(run.warnings)} in all"]
         lines += [f"{option('fail-on', 'warning')}: {text}" for text in texts]
@@ -325,35 +323,27 @@ def _certificate_tables(certificate: StepCertificate) -> list[Table]:
     finer = " and ".join(f"{step:g} s" for step in certificate.finer_steps)
     title = f"error of the communication step {certificate.step:g} s, from runs with {finer}"
     rows = []
-    equal = []
-    unknown = []
     for own in certificate.signals:
-        if own.is_bounded or (own.largest is not None and own.order is not None):
-            largest = f"at most {own.bound:.3g}" if own.is_bounded else f"{own.largest:.3g}"
-            row = (
-                own.signal,
-                largest if own.unit is None else f"{largest} {own.unit}",
-                "" if own.time is None else f"{own.time:g} s",
-                "" if own.last is None else f"{own.last:+.3g}",
-                "" if own.order is None else f"{own.order:.2f}",
-            )
-            rows.append(row)
-        elif own.largest is not None:
-            equal.append(own.signal)
-        if own.largest is None:
-            label = "upper bound" if own.is_bounded else "no estimate"
-            unknown.append((label, own.reason, own.signal))
-    below = []
-    if certificate.problem:
-        below.append(("no estimate", certificate.problem))
-    if equal:
-        below.append(("no error", f"{', '.join(equal)}: identical in all three runs"))
-    for (label, reason), signals in by_reason(unknown).items():
-        below.append((label, f"{', '.join(signals)}: {reason}"))
+        size, prefix = (own.bound, "at most ") if own.is_bounded else (own.largest, "")
+        remark = own.reason
+        if size is None:
+            remark = f"no estimate: {own.reason}"
+        elif own.order is None and not own.is_bounded:
+            remark = "identical in all three runs"
+        row = (
+            own.signal,
+            "" if size is None else f"{prefix}{size:.3g} {own.unit or ''}".rstrip(),
+            "" if own.time is None else f"{own.time:g} s",
+            "" if own.last is None else f"{own.last:+.3g}",
+            "" if own.order is None else f"{own.order:.2f}",
+            remark,
+        )
+        rows.append(row)
+    columns = ("signal", "largest", "at t", "at the end", "order", "remark")
+    below = [("no estimate", certificate.problem)]
     if not certificate.problem:
-        below += [(share.estimate, str(share)) for share in certificate.shares]
+        below = [(share.estimate, str(share)) for share in certificate.shares]
         below += [("note", note) for note in certificate.notes()]
-    columns = ("signal", "largest", "at t", "at the end", "order")
     tables = [
         new_table("search for the communication step", ("", ""), certificate.search()),
         new_table(title, columns, rows),

@@ -14,7 +14,7 @@ from cosim.scenario.assumptions.beginning import Beginning, attempted
 from cosim.scenario.assumptions.method import CHECKS, verdicts_of_model
 from cosim.scenario.building.build import Builder
 from cosim.scenario.building.coupling import COUPLING, gain_text, gain_values
-from cosim.scenario.building.parsing import Scenario
+from cosim.scenario.kinds.base import Scenario
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
 from cosim.scenario.running.execution import load
 from cosim.theory.observers.assumptions import AssumptionVerdict, refused, undecided
@@ -101,7 +101,7 @@ def _of_tables(beginning: Beginning) -> list[NamedVerdict]:
         for name, spec in beginning.scenario.specs.items():
             if isinstance(spec, kind):
                 beginning.context.begin(name)
-                for verdict in check(name, spec, beginning):
+                for verdict in check(name, spec, beginning).verdicts():
                     verdicts.append((name, _resting(verdict, verdicts)))
     return verdicts
 

@@ -14,7 +14,8 @@ discrete states, begins anew, with an event.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Collection, Iterator, Mapping, Sequence, Set
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Final, cast
 
@@ -55,16 +56,14 @@ from cosim.errors import (
     nearest,
     quoted,
 )
-from cosim.instants import StepNs
 from cosim.log.contents.metadata import decode_design
 from cosim.native.numerics.expression import compile_condition
-from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.places import Key, Problem
-from cosim.scenario.document.problems import TableProblems, problems_of
+from cosim.scenario.document.problems import TableProblems, problems_in, problems_of
 from cosim.scenario.document.schema import ActionTable
 from cosim.scenario.document.swaps import component_table
 from cosim.scenario.kinds import KINDS, Kind
-from cosim.scenario.kinds.base import AnyKind, BuildContext, PeriodicKind
+from cosim.scenario.kinds.base import AnyKind, BuildContext, PeriodicKind, Scenario
 from cosim.scenario.kinds.plants import FmuKind
 
 if TYPE_CHECKING:
@@ -124,8 +123,20 @@ class ActionChecker:
             when = scenario.actions[number].when or ""
             self.reactions.append(ConditionalAction(when, tuple(own)))
 
-    def _add(self, number: int, key: Key, problem: str) -> None:
-        self.problems.append((("actions", number, *key), problem))
+    @contextmanager
+    def _at(self, number: int, *place: str) -> Iterator[None]:
+        """Add what is raised inside as problems of an action.
+
+        Those of a table have their keys in the action, others stand at the place, which says what
+        the prefix of a message does.
+        """
+        key: Key = ("actions", number)
+        try:
+            yield
+        except TableProblems as error:
+            self.problems += problems_in(error, key)
+        except (CosimError, ValueError) as error:
+            self.problems.append(((*key, *place), str(error).removeprefix(f"{place[-1]}: ")))
 
     def _find_points(self) -> dict[int, int]:
         """Return the communication points of actions by their numbers.
@@ -135,17 +146,13 @@ class ActionChecker:
         points = {}
         conditions: dict[str, int] = {}
         for number, action in self._scenario.actions.items():
-            try:
-                if action.at is not None:
+            if action.at is not None:
+                with self._at(number, "at"):
                     points[number] = self._point(action.at)
-                else:
-                    assert action.when is not None, "validated before"
-                    step_ns = self._clock.step_ns
-                    check_condition(action.when, self._components, self._unknown, step_ns)
+            if action.when is not None:
+                with self._at(number, "when"):
+                    check_condition(action.when, self._components, self._unknown, self._context)
                     points[number] = conditions.setdefault(action.when, -1 - number)
-            except CosimError as error:
-                key = "when" if action.at is None else "at"
-                self._add(number, (key,), str(error).removeprefix("at: "))
         return points
 
     def _point(self, at: float) -> int:
@@ -186,7 +193,8 @@ class ActionChecker:
             name = change.name
             if name in self._unknown:
                 continue
-            try:
+            place = ("swap", name) if change.values is None else _place_of(name, change.values)
+            with self._at(change.number, *place):
                 if name not in self._components:
                     known = nearest(name, self._components)
                     raise GraphError(f"there is no component {name!r}; {known}")
@@ -195,11 +203,6 @@ class ActionChecker:
                     self._take(change.number, self._swap(change))
                 else:
                     self._take(change.number, builder.action(name, change.values))
-            except TableProblems as error:
-                for key, problem in error.problems:
-                    self._add(change.number, change.key(*map(str, key[:1])), problem)
-            except (CosimError, ValueError) as error:
-                self._add(change.number, change.key(), str(error))
 
     def _changes_of_components(self) -> Iterator[_Change]:
         """Yield what the actions do to components, in the order of the file."""
@@ -287,13 +290,8 @@ class ActionChecker:
         for number in sorted(self._points, key=lambda number: (self._points[number], number)):
             table = self._scenario.actions[number]
             for text in table.signals:
-                try:
+                with self._at(number, "signal"):
                     self._change_input(number, table, text)
-                except TableProblems as error:
-                    for key, problem in error.problems:
-                        self._add(number, key, problem)
-                except CosimError as error:
-                    self._add(number, ("signal",), str(error))
 
     def _change_input(self, number: int, table: ActionTable, text: str) -> None:
         """Make what an action does to one signal.
@@ -433,12 +431,11 @@ class _Change:
     name: str
     values: dict[str, Any] | None
 
-    def key(self, parameter: str | None = None) -> Key:
-        """Return where it stands in its action; without a parameter the first one."""
-        if self.values is None:
-            return "swap", self.name
-        parameter = parameter if parameter in self.values else next(iter(self.values))
-        return "set", f"{self.name}.{parameter}" if parameter else self.name
+
+def _place_of(name: str, values: Mapping[str, Any], key: Key = ()) -> tuple[str, str]:
+    """Return where an action sets what a key of a component's table is of, or else the first."""
+    parameter = next((part for part in map(str, key) if part in values), next(iter(values)))
+    return "set", f"{name}.{parameter}" if parameter else name
 
 
 @dataclass(frozen=True, slots=True)
@@ -501,34 +498,44 @@ class SettingBuilder:
         Raises
         ------
         TableProblems
-            If one cannot be set, with those that can, or a value does not fit; their keys are
-            parameters.
-        CosimError
-            If the component cannot be built with them.
+            If one cannot be set, with those that can, a value does not fit, or the component cannot
+            be built with them; their keys are those of an action.
         """
-        spec = self._specs[name]
-        problems = list(self._problems(name, spec, values))
-        if problems:
-            raise TableProblems(problems)
-        if isinstance(spec, FmuKind):
-            from cosim.fmi.driving.tuning import check_tuning  # where there is an FMU
+        try:
+            return self._action(name, values)
+        except (CosimError, ValueError) as error:
+            found = problems_in(error, ())
+            problems = [(_place_of(name, values, key), text) for key, text in found]
+            raise TableProblems(problems) from error
 
-            try:
-                starts = _changed(spec, {"start": dict(values)}).start
-            except TableProblems as error:
-                raise TableProblems([(key[1:], text) for key, text in error.problems]) from error
+    def _action(self, name: str, values: Mapping[str, Any]) -> Action:
+        spec = self._specs[name]
+        if isinstance(spec, FmuKind):
+            from cosim.fmi.driving.tuning import check_tuning, tunable_parameters  # rarely needed
+
             fmu = self._context.opened(name)
+            self._check_names(name, values, tunable_parameters(fmu.description))
+            starts = _changed(spec, {"start": dict(values)}).start
             return FmuSetting(name, fmu, check_tuning(fmu.description, starts))
+        self._check_names(name, values, spec.tunable_parameters)
         self._check_readers(name)
-        spec = _changed(spec, values)
-        component = self._component(name, spec)
+        changed = _changed(spec, values)
+        for key, value in values.items():
+            is_flag = isinstance(getattr(spec, key), bool)
+            is_like_it = is_flag is isinstance(getattr(changed, key), bool)
+            if not is_like_it or key not in changed.tunable_parameters:
+                expected = "true or false" if is_flag else "a number or a list of numbers"
+                raise TableProblems([((key,), f"expected {expected}, got {quoted(value)}")])
+        component = self._component(name, changed)
         if component.interface != self._components[name].interface:
             raise UsageError(
                 f"the new values change the signals or the direct feedthrough of {name!r}; "
                 "expected values of the same sizes that keep both"
             )
-        self._specs[name] = spec
-        numbers = {key: tuple(map(float, _row(value))) for key, value in values.items()}
+        self._specs[name] = changed
+        numbers = {
+            key: tuple(np.ravel(value).astype(float).tolist()) for key, value in values.items()
+        }
         return Setting(name, component, numbers)
 
     def recorded(self, name: str, values: ParameterValues) -> Action:
@@ -543,29 +550,24 @@ class SettingBuilder:
                 plain[key] = list(own) if is_row else own[0]
         return self.action(name, plain)
 
-    def _problems(self, name: str, spec: Kind, values: Mapping[str, Any]) -> Iterator[Problem]:
-        """Yield what is wrong with the names of parameters, and with the types of their values."""
-        known = spec.tunable_parameters
-        if isinstance(spec, FmuKind):
-            from cosim.fmi.driving.tuning import tunable_parameters  # where there is an FMU
+    def _check_names(self, name: str, values: Mapping[str, Any], known: Collection[str]) -> None:
+        """Check that parameters are among those of a component that can be set.
 
-            known = tunable_parameters(self._context.opened(name).description)
-        for key, value in values.items():
+        Raises
+        ------
+        TableProblems
+            If one is not.
+        """
+        problems: list[Problem] = []
+        for key in [key for key in values if key not in known]:
+            text = f"{name!r} has no tunable parameter {key!r}; {nearest(key, known)}"
             if not key:
                 text = f"expected a tunable parameter of {name!r}, got none; {nearest(key, known)}"
-                yield (key,), text
-            elif key not in known and key in spec.tunable:
-                text = (
-                    f"expected a number or a list of numbers for {key!r} in the table of {name!r}"
-                )
-                yield (key,), text
-            elif key not in known:
-                text = f"{name!r} has no tunable parameter {key!r}; {nearest(key, known)}"
-                yield (key,), text
-            elif not isinstance(spec, FmuKind):
-                expected = _expected(getattr(spec, key), value)
-                if expected:
-                    yield (key,), f"expected {expected}, got {quoted(value)}"
+            elif key in self._specs[name].tunable:
+                text = f"expected numbers for {key!r} in the table of {name!r}"
+            problems.append(((key,), text))
+        if problems:
+            raise TableProblems(problems)
 
     def _check_readers(self, name: str) -> None:
         """Check that no other component is designed on what is set.
@@ -594,23 +596,6 @@ class SettingBuilder:
         if not isinstance(spec, PeriodicKind):
             return component
         return spec.with_period(component, spec.period_steps(name, context.step_ns))
-
-
-def _expected(current: Any, value: Any) -> str:
-    """Return what is expected in the place of a value: true or false where the table has that.
-
-    Nothing if it is such a value.
-    """
-    if isinstance(current, bool):
-        return "" if isinstance(value, bool) else "true or false"
-    for number in _row(value):
-        if isinstance(number, bool) or not isinstance(number, int | float):
-            return "a number or a list of numbers"
-    return ""
-
-
-def _row(value: Any) -> Sequence[Any]:
-    return value if isinstance(value, list | tuple) else [value]
 
 
 def _changed(spec: AnyKind, values: Mapping[str, Any]) -> AnyKind:
@@ -735,7 +720,7 @@ def _check_place(name: str, path: str, place: Interface, other: Interface) -> No
 
 
 def check_condition(
-    text: str, components: Mapping[str, Component], unknown: Set[str], step_ns: StepNs
+    text: str, components: Mapping[str, Component], unknown: Set[str], context: BuildContext
 ) -> None:
     """Check a condition, as far as its signals are known.
 
@@ -745,8 +730,8 @@ def check_condition(
     components : mapping of component name to Component
     unknown : set of str
         Components whose signals are not known.
-    step_ns : int
-        Communication step [ns].
+    context : BuildContext
+        Whose communication step it is checked at.
 
     Raises
     ------
@@ -754,13 +739,5 @@ def check_condition(
         If it is wrong.
     """
     signals = compile_condition(text).program.signals
-    if unknown.isdisjoint(map(_component_of, signals)):
-        Condition(text, layout_of(dict(components)), step_ns)
-
-
-def _component_of(name: str) -> str:
-    """Return the component of a signal; the name itself where it has none."""
-    try:
-        return Port.parse(name).component
-    except CosimError:
-        return name
+    if unknown.isdisjoint(signal.partition(".")[0] for signal in signals):
+        Condition(text, layout_of(dict(components)), context.step_ns)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import unicodedata
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from functools import cached_property
-from typing import TYPE_CHECKING
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Final
 
 from cosim.blocks.declared import with_units
 from cosim.blocks.replay import Replay
@@ -40,29 +40,36 @@ from cosim.scenario.building.graph_checks import (
     jump_problems,
     substep_tolerance,
 )
-from cosim.scenario.building.parsing import Scenario, read
+from cosim.scenario.building.parsing import read_tables
 from cosim.scenario.document.document import Document
 from cosim.scenario.document.places import Key, Problem
-from cosim.scenario.document.problems import TableProblems
-from cosim.scenario.document.swaps import MapEntry, ports_in, unknown_ports
+from cosim.scenario.document.problems import problems_in
+from cosim.scenario.document.swaps import Map, ports_in, unknown_ports
 from cosim.scenario.kinds import Kind
-from cosim.scenario.kinds.base import BuildContext, PeriodicKind, clock_of
+from cosim.scenario.kinds.base import BuildContext, PeriodicKind, Scenario
 from cosim.scenario.kinds.build_record import (
     TABLES_ALONE,
     DependsOnInvalid,
     NotImported,
     Origins,
 )
-from cosim.scenario.kinds.capabilities import Advising, HasGivenStates, HasSamples, RenamesMore
+from cosim.scenario.kinds.capabilities import (
+    Advising,
+    GivenStates,
+    HasGivenStates,
+    HasSamples,
+    RenamesMore,
+)
 from cosim.scenario.kinds.identified_plant import IdentifiedPlant
-from cosim.scenario.kinds.initial_states import GivenStates
-from cosim.scenario.kinds.models import form_problems
 from cosim.scenario.kinds.plants import DescriptorKind
 from cosim.scenario.record import component_record
 
 if TYPE_CHECKING:
     from cosim.blocks.port_map import PortMap
     from cosim.blocks.renaming import Renaming
+
+
+DESCRIBED: Final = Origins(describes=True)
 
 
 class Builder:
@@ -75,8 +82,6 @@ class Builder:
         Closes what was opened, FMUs above all, when the run is over.
     origins : Origins
         Where components come from, beside their tables.
-    problems : iterable of Problem
-        Of the scenario, as far as they are known.
     replaced : mapping of component name to Interface, optional
         Of the components that swaps replaced, where they are known.
     beside : Scenario, optional
@@ -110,12 +115,11 @@ class Builder:
         resources: ExitStack,
         origins: Origins = TABLES_ALONE,
         *,
-        problems: Iterable[Problem] = (),
         replaced: Mapping[str, Interface] | None = None,
         beside: Scenario | None = None,
     ) -> None:
         self.scenario = scenario
-        self.problems = list(problems)
+        self.problems = list(scenario.problems)
         self._origins = origins
         self._replaced = replaced or {}
         invalid = self._check_times()
@@ -125,6 +129,7 @@ class Builder:
         self.given_states: dict[str, GivenStates] = {}
         self.unknown: set[str] = set()
         self.periods: dict[str, int] = {}
+        self._dependent: list[Problem] = []  # components that rest on what is wrong with others
         self._cause: Exception | None = None  # of the first problem that was raised
         recording = origins.recording
         self._declared: Mapping[str, Channel] = {}  # all that a recorded run had
@@ -133,11 +138,14 @@ class Builder:
         self._check_models()
         self._wrong: set[str] = set()  # components with problems that do not stop their build
         for name, interface in self._replaced.items():
-            entries = scenario.maps.get(name, [])
-            self.problems += unknown_ports(scenario.tree, entries, interface)
+            own = scenario.maps.get(name, {})
+            self.problems += unknown_ports(scenario.tree, name, own, interface)
         for name, spec in scenario.specs.items():
             self._build(name, spec)
-        self._drop_repeated_problems()
+        if not self.problems:  # of what is not built here, which would have told itself
+            self.problems += [(place, text) for place, text in self._dependent if text]
+        # what is read from now on is told of the last one, in a part of a scenario as in the whole
+        self.context.go_on(*list((beside or scenario).specs)[-1:])
         self._connections: Mapping[Port, Connection] = scenario.connections
         if recording is not None:  # with the conversions of its run
             self._connections = as_in_run(scenario.connections, recording, self.components)
@@ -150,8 +158,7 @@ class Builder:
         self._reactions: Sequence[ConditionalAction] = ()
         with suppress(DependsOnInvalid):
             self._check_actions()
-        with suppress(DependsOnInvalid):
-            self._check_until()
+        self._check_until()
         self._check_record()
 
     # --- what is known beforehand ---
@@ -162,29 +169,38 @@ class Builder:
         checks: dict[str, Callable[[], object]] = {
             "step": lambda: Clock(float(settings.step), settings.step),
             "start_time": lambda: start_nanoseconds(settings.start_time),
-            "stop": lambda: clock_of(settings),
+            "stop": lambda: settings.clock,
             "substeps": lambda: substep_tolerance(settings),
         }
+        changes = self.scenario.document.changes
+        is_of_step = "scenario.step" in changes and "scenario.stop" not in changes
         unknown: set[Key] = set()
         for name, check in checks.items():
             key = ("scenario", name)
-            if not self.scenario.invalid.isdisjoint({("scenario",), key}):
-                unknown.add(key)
+            place, prefix = key, f"{name}: "
+            if name == "stop" and is_of_step and settings.stop > settings.start_time:
+                place, prefix = ("scenario", "step"), ""
+            is_invalid = not self.scenario.invalid.isdisjoint({("scenario",), key})
             # what is checked on the grid of the steps needs it
-            elif name not in ("stop", "substeps") or not unknown:
-                try:
-                    check()
-                except CosimError as error:
-                    unknown.add(key)
-                    changes = self.scenario.document.changes
-                    is_of_step = "scenario.step" in changes and "scenario.stop" not in changes
-                    text = str(error)
-                    if name == "stop" and is_of_step and settings.stop > settings.start_time:
-                        key = ("scenario", "step")
-                    else:
-                        text = text.removeprefix(f"{name}: ")
-                    self.problems.append((key, text))
+            is_unchecked = name in ("stop", "substeps") and unknown
+            if is_invalid or (not is_unchecked and self._is_refused(place, check, prefix)):
+                unknown.add(key)
         return unknown
+
+    def _is_refused(self, place: Key, check: Callable[[], object], prefix: str = "") -> bool:
+        """Return whether a check refuses what stands at a place; add the problem of that.
+
+        The place says what the prefix of its message does.
+        """
+        try:
+            check()
+        except DependsOnInvalid:
+            pass
+        except (CosimError, ValueError) as error:
+            found = problems_in(error, place)
+            self.problems += [(key, text.removeprefix(prefix)) for key, text in found]
+            return True
+        return False
 
     @property
     def clock(self) -> Clock:
@@ -201,16 +217,9 @@ class Builder:
             raise self.scenario.document.report(self.problems) from error
 
     def _check_models(self) -> None:
-        for name, table in self.scenario.file.models.items():
+        for name in self.scenario.file.models:
             place: Key = ("models", name)
-            problems = [((*place, key) if key else place, t) for key, t in form_problems(table)]
-            if not problems:
-                try:
-                    self.context.model(name)
-                except (CosimError, ValueError) as error:
-                    problems = [(place, str(error))]
-            if problems:
-                self.problems += problems
+            if self._is_refused(place, partial(self.context.model, name)):
                 self.context.invalid.add(place)
 
     @cached_property
@@ -245,18 +254,15 @@ class Builder:
                 given = spec.given_states(name, self.context)
                 if given is not None:
                     self.given_states[name] = given
-        except DependsOnInvalid:
-            pass
+        except DependsOnInvalid as error:
+            self._dependent.append((place, str(error)))
         except NotImported:
             self.unknown.add(name)
-        except TableProblems as error:
-            self._cause = self._cause or error
-            self.problems += [((*place, *key), text) for key, text in error.problems]
         except (CosimError, ValueError) as error:
             self._cause = self._cause or error
-            self.problems.append((place, str(error)))
-        except (ArithmeticError, MemoryError) as error:  # of numbers near the largest or smallest
-            self.problems.append((place, out_of_range(error)))
+            self.problems += problems_in(error, place)
+        except (ArithmeticError, MemoryError) as error:
+            self.problems += problems_in(error, place)
 
     def _component(self, name: str, spec: Kind) -> Component:
         recording = self.context.replayed_from(spec)
@@ -270,29 +276,26 @@ class Builder:
                 self.context.add_metadata(name, {"code": record.code.model_dump(by_alias=True)})
             return Replay(recording, name)  # recorded under the scenario's names
         component = spec.build(name, self.context)
-        entries = self.scenario.maps.get(name)
-        if entries:
-            component = self._renamed(name, spec, component, entries)
+        own = self.scenario.maps.get(name)
+        if own:
+            component = self._renamed(name, spec, component, own)
         return with_units(component, spec.units_of(component.interface))
 
-    def _renamed(
-        self, name: str, spec: Kind, component: Component, entries: Sequence[MapEntry]
-    ) -> Component:
+    def _renamed(self, name: str, spec: Kind, component: Component, own: Map) -> Component:
         """Show a swapped component under the scenario's names; add the problems of its map."""
         from cosim.blocks.renamed import Renamed  # rarely needed
         from cosim.blocks.renaming import resolve
 
-        given = [entry.renaming for entry in entries]
-        renamings: Sequence[Renaming] = given
+        renamings: Sequence[Renaming] = list(own.values())
         if isinstance(spec, RenamesMore):
-            renamings = spec.renamings(component.interface, given)
+            renamings = spec.renamings(component.interface, renamings)
         replaced = self._replaced.get(name)
         self.port_maps[name], problems = resolve(component.interface, renamings, replaced)
-        for entry in entries:
-            port = entry.renaming.port
+        for key, renaming in own.items():
+            port = renaming.port
             text = problems.pop(port, None) or problems.pop(port.whole, None)
             if text is not None:
-                self.problems.append((entry.key, text))
+                self.problems.append((key, text))
                 self._wrong.add(name)
         return Renamed(component, self.port_maps[name])
 
@@ -343,18 +346,6 @@ class Builder:
                     return to
         return None
 
-    def _drop_repeated_problems(self) -> None:
-        """Drop what a component says of another that it reads, which says that itself."""
-        known = {(".".join(map(str, key)), text) for key, text in self.problems}
-        kept = []
-        for key, text in self.problems:
-            others: set[str] = set()
-            if key[:1] == ("components",) and len(key) > 1:
-                others = {*self.context.reads.get(str(key[1]), ())} - {f"components.{key[1]}"}
-            if not any((table, text) in known for table in others):
-                kept.append((key, text))
-        self.problems = kept
-
     # --- what connects them, and what is said of their signals ---
 
     def _check_connections(self) -> None:
@@ -393,37 +384,32 @@ class Builder:
         """Add the problem of the condition that ends the run."""
         until = self.scenario.file.scenario.until
         right = self._right
-        if until is None or not right:
-            return
-        step_ns = self.context.step_ns
-        try:
-            check_condition(until, right, self._names - right.keys(), step_ns)
-        except UsageError as error:
-            self.problems.append((("scenario", "until"), str(error)))
+        if until is not None and right:
+            missing = self._names - right.keys()
+            check = partial(check_condition, until, right, missing, self.context)
+            self._is_refused(("scenario", "until"), check)
 
     def _check_record(self) -> None:
         """Add the problem of what is chosen to be recorded, where all components are known."""
         selection = self.scenario.file.record.selection
-        if selection.signals is None or self._invalid or not self.components:
-            return
-        channels = {channel.name: channel for channel in layout_of(self.components).channels}
-        try:
-            chosen_signals(channels, selection, beside=self._declared)
-        except UsageError as error:
-            self.problems.append((("record", "signals"), str(error).removeprefix("the run: ")))
+        if self.components and not self._invalid:
+            channels = {channel.name: channel for channel in layout_of(self.components).channels}
+            check = partial(chosen_signals, channels, selection, beside=self._declared)
+            self._is_refused(("record", "signals"), check, "the run: ")
 
     # --- the graph ---
 
     def check(self) -> None:
-        """Check that everything could be built.
+        """Check that everything could be built, and that it fits together.
 
         Raises
         ------
         ScenarioError
             With every problem of the file.
         """
-        if self.problems:
-            raise self._report([*self.problems, *self.graph_problems()])
+        problems = [*self.problems, *self.graph_problems()]
+        if problems:
+            raise self._report(problems)
 
     def _report(self, problems: Iterable[Problem]) -> ScenarioError:
         error = self.scenario.document.report(problems)
@@ -531,9 +517,7 @@ class Builder:
         ScenarioError
             With every problem of the file.
         """
-        problems = [*self.problems, *self.graph_problems()]
-        if problems:
-            raise self._report(problems)
+        self.check()
         graph = self._graph
         for name, text in self._warnings(graph):
             self.context.warn(name, text)
@@ -627,7 +611,7 @@ class Builder:
         if isinstance(component, Replay) and name in self._declared:
             lacking = frozenset(self._declared[name].interface.input_names - held.keys())
         held |= dict.fromkeys(lacking, False)
-        texts = spec.advice(name, self.context, held=held, h=self.clock.h)
+        texts = spec.advice(name, self.context, held)
         return [] if lacking else texts
 
 
@@ -636,9 +620,15 @@ def asks_for_means(spec: Kind) -> bool:
     return getattr(spec, "input_interpolation", None) == "linear"
 
 
-def out_of_range(error: Exception) -> str:
-    """Return in words that a number has left the range of numbers."""
-    return f"numeric overflow or underflow: {error}"
+def read(document: Document) -> Scenario:
+    """Read and validate a document; the scenario has the problems that it is not refused for.
+
+    Raises
+    ------
+    ScenarioError
+        If the text is no TOML.
+    """
+    return read_tables(document, parse)
 
 
 def parse(document: Document) -> Scenario:
@@ -650,10 +640,10 @@ def parse(document: Document) -> Scenario:
         With every problem that shows without building the components; if there is one, with every
         problem of the file that shows without its code.
     """
-    scenario, problems = read(document, parse)
-    if problems:
+    scenario = read(document)
+    if scenario.problems:
         with ExitStack() as resources:
-            Builder(scenario, resources, Origins(describes=True), problems=problems).check()
+            Builder(scenario, resources, DESCRIBED).check()
     return scenario
 
 
@@ -667,9 +657,8 @@ def describe(document: Document) -> Builder:
     ScenarioError
         With every problem of the file.
     """
-    scenario, problems = read(document, parse)
     with ExitStack() as resources:
-        builder = Builder(scenario, resources, Origins(describes=True), problems=problems)
+        builder = Builder(read(document), resources, DESCRIBED)
         builder.check()
         if not builder.unknown:
             builder.experiment()

@@ -34,9 +34,9 @@ from cosim.core.structure.cycles import find_cycle
 from cosim.errors import CosimError, listing
 from cosim.instants import step_value
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.places import Key, Problem
 from cosim.scenario.document.schema import ActionTable
+from cosim.scenario.kinds.base import Scenario
 
 COUPLING: Final = "coupling"  # whose warnings these are
 STEP: Final = "scenario.step"

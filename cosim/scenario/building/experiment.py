@@ -17,10 +17,9 @@ from cosim.core.signals import Channel
 from cosim.core.stepping.actions import AT_CONDITION, Action, ConditionalAction, TimedAction
 from cosim.instants import step_value
 from cosim.log.contents.metadata import encode_design
-from cosim.scenario.building.parsing import Scenario
-from cosim.scenario.kinds.base import BuildContext
+from cosim.scenario.kinds.base import BuildContext, Scenario
+from cosim.scenario.kinds.capabilities import GivenStates
 from cosim.scenario.kinds.identified_plant import IdentifiedPlant
-from cosim.scenario.kinds.initial_states import GivenStates
 from cosim.scenario.record import ReplayOrigin
 
 if TYPE_CHECKING:
@@ -84,10 +83,6 @@ class Experiment:
         Of a replay: the log it is made from.
     events : tuple of SignalEvent
         Of a replay: overrides and releases of inputs, and what followed them.
-    absent : mapping of component name to str
-        Of a replay of a partial log: why components are not here.
-    uncomputed : mapping of component name to str
-        Of it: why components are not computed that could be from a whole log.
     """
 
     scenario: Scenario
@@ -111,8 +106,6 @@ class Experiment:
     messages: Mapping[str, Sequence[Message]] = field(default_factory=dict)
     origin: ReplayOrigin | None = None
     events: tuple[SignalEvent, ...] = ()
-    absent: Mapping[str, str] = field(default_factory=dict)
-    uncomputed: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def has_events(self) -> bool:
@@ -121,7 +114,7 @@ class Experiment:
         return bool(acts or self.graph.layout.jumping)
 
     def prepare_settings(self, recorded: Mapping[str, Design]) -> dict[str, str]:
-        """Prepare."""
+        """Prepare the variants of all settings; return their designs, encoded, by time and name."""
         designs = {}
         for (time_ns, name), action in self.settings.items():
             for component in action.variants.values():

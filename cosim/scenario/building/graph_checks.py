@@ -27,9 +27,9 @@ from cosim.errors import (
 )
 from cosim.instants import step_seconds
 from cosim.log.contents.metadata import json_table
-from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.places import Problem
 from cosim.scenario.document.schema import File, Settings
+from cosim.scenario.kinds.base import Scenario
 from cosim.units import Unit, conversion
 
 _HELD_IN_LOOP: Final = (

@@ -3,190 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
-from functools import cached_property
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from cosim.arguments import mapping_argument, swap_argument
-from cosim.core.connections import ONE_SOURCE, Connection, components_driving
+from cosim.core.connections import ONE_SOURCE, Connection
 from cosim.core.port import Port
-from cosim.core.structure.cycles import reached_from
 from cosim.errors import CosimError, GraphError, nearest, quoted
 from cosim.scenario.document.document import Document
 from cosim.scenario.document.places import Key, Problem
 from cosim.scenario.document.problems import TableProblems, problems_of
 from cosim.scenario.document.schema import ActionTable, ConnectionTable, File
-from cosim.scenario.document.swaps import (
-    MapEntry,
-    PortNames,
-    record_inputs,
-    resolve_maps,
-)
+from cosim.scenario.document.swaps import record_inputs, resolve_maps
 from cosim.scenario.kinds import KINDS, Kind
-
-if TYPE_CHECKING:
-    from cosim.scenario.session import Session
+from cosim.scenario.kinds.base import Scenario
 
 AnyTable = TypeVar("AnyTable", bound=BaseModel)
 STAND_INS = {"name": "unnamed", "stop": 1.0, "step": 1.0}  # for settings without a right value
 
 
-@dataclass(frozen=True, repr=False)
-class Scenario:
-    """A validated scenario.
-
-    Parameters
-    ----------
-    document : Document
-    file : File
-    specs : mapping of component name to Kind
-    connections : mapping of Port to Connection
-        By input, or elements of it; those that kinds imply among them.
-    implied : mapping of Port to Port or None
-        Inputs that [connections] leaves open, and the ones that they share their sources with;
-        None: they follow from the component's own table.
-    maps : mapping of component name to list of MapEntry
-        Of the swapped components.
-    tree : mapping
-        The tables as they stand in the file, edits applied.
-    parse : callable
-        Makes a scenario of an edited document (:func:`cosim.scenario.building.build.parse`).
-    invalid : frozenset of Key
-        The tables and their entries that are wrong, so that they are missing in ``file`` or have
-        values that stand for others; what rests on them cannot be checked.
-    actions : mapping of number to ActionTable
-        Those of [[actions]] whose tables are right.
-    notes : tuple of (component name, text)
-        What becomes of the inputs of components that follow none.
-    starter : callable or None
-        Starts the scenario (:mod:`cosim.scenario.running.execution`); None: it is only read here.
-    """
-
-    document: Document
-    file: File
-    specs: Mapping[str, Kind]
-    connections: Mapping[Port, Connection]
-    implied: Mapping[Port, Port | None]
-    maps: Mapping[str, list[MapEntry]]
-    tree: Mapping[str, Any]
-    parse: Callable[[Document], Scenario] = field(repr=False, compare=False)
-    invalid: frozenset[Key] = frozenset()
-    actions: Mapping[int, ActionTable] = field(default_factory=dict)
-    notes: tuple[tuple[str, str], ...] = ()
-    starter: Callable[..., Session] | None = field(default=None, repr=False, compare=False)
-
-    def __repr__(self) -> str:
-        return f"<the scenario {self.name!r}: {len(self.specs)} components>"
-
-    @property
-    def name(self) -> str:
-        """Name of the scenario."""
-        return self.file.scenario.name
-
-    def driver(self, to: Port) -> str | None:
-        """Return the component that drives an input alone, as a whole or by its elements.
-
-        None: nothing drives it, or sources of several components do.
-        """
-        drivers = list(self.sources(to))
-        return drivers[0] if len(drivers) == 1 else None
-
-    def sources(self, to: Port) -> frozenset[str]:
-        """Return the components that drive an input, as a whole or by its elements."""
-        return components_driving(self.connections, to)
-
-    @cached_property
-    def drivers(self) -> dict[str, set[str]]:
-        """The components that drive any input of each component."""
-        drivers: dict[str, set[str]] = {name: set() for name in self.specs}
-        for to, connection in self.connections.items():
-            sources = {source.component for source in connection.sources}
-            drivers.setdefault(to.component, set()).update(sources)
-        return drivers
-
-    def upstream(self, component: str) -> Scenario:
-        """Return the scenario of a component and of all that it depends on, without the others."""
-        needed = reached_from([component], self.drivers)
-        connections = {to: c for to, c in self.connections.items() if to.component in needed}
-        specs = {name: spec for name, spec in self.specs.items() if name in needed}
-        return replace(self, specs=specs, connections=connections)
-
-    def edit(
-        self,
-        *,
-        swap: Mapping[str, str | Path] | None = None,
-        map: Mapping[str, PortNames] | None = None,
-        set: Mapping[str, Any] | None = None,
-    ) -> Scenario:
-        """Return the scenario with components swapped, their ports mapped, then values set.
-
-        Raises
-        ------
-        UsageError
-            If one of these is no mapping, or has values of other types.
-        ScenarioError
-            With every problem of the file and of these edits.
-        """
-        paths = swap_argument(swap)
-        names = mapping_argument("map", map)
-        changes = mapping_argument("set", set)
-        if not (paths or names or changes):
-            return self
-        document = self.document
-        if paths or names:
-            document = document.with_swaps(paths, names)
-        if changes:
-            document = document.with_changes(changes)
-        return self.parse(document)
-
-    def swap(self, *, map: Mapping[str, PortNames] | None = None, **paths: str | Path) -> Scenario:
-        """Replace components: by an FMU (.fmu), a recorded one (.mcap), samples (.csv, ...).
-
-        ``map`` gives the names that ports have there, such as ``{"observer.y": "out1"}``; see
-        :mod:`cosim.scenario.document.swaps`.
-        """
-        return self.edit(swap=paths, map=map)
-
-    def start(
-        self,
-        *,
-        out: str | Path | None = None,
-        force: bool = False,
-        numbered: bool = False,
-    ) -> Session:
-        """Start the scenario, to advance it step by step: a context manager.
-
-        Parameters
-        ----------
-        out : str or Path, optional
-            Log file to write; without it nothing is recorded.
-        force : bool
-            Replace a log at ``out``.
-        numbered : bool
-            Where there is a log at ``out``, write to the next free one of ``x-2.mcap``, ...
-
-        Raises
-        ------
-        CosimError
-            UsageError if the scenario cannot be built or the log not be written, RunError if an
-            initial value is not finite.
-        """
-        assert self.starter is not None, "what users load can be started"
-        return self.starter(self, out, force=force, numbered=numbered)
-
-    def set(self, changes: Mapping[str, Any]) -> Scenario:
-        """Set values by dotted key, such as ``{"observer.filter_rate": 500.0}``."""
-        return self.edit(set=changes)
-
-
-def read(
-    document: Document, parse: Callable[[Document], Scenario]
-) -> tuple[Scenario, list[Problem]]:
-    """Read and validate a document; return what is right in it, and its problems.
+def read_tables(document: Document, parse: Callable[[Document], Scenario]) -> Scenario:
+    """Read and validate a document; return what is right in it, with the problems of the rest.
 
     Parameters
     ----------
@@ -233,7 +71,7 @@ def read(
         action = _validated(ActionTable, table, ("actions", number), problems)
         if action is not None:
             actions[number] = action
-    scenario = Scenario(
+    return Scenario(
         document,
         file,
         specs,
@@ -245,8 +83,8 @@ def read(
         frozenset(invalid),
         actions,
         tuple(notes),
+        tuple(problems),
     )
-    return scenario, problems
 
 
 def _validated(

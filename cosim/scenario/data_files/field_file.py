@@ -19,39 +19,42 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from decimal import Decimal
+from functools import partial
 from itertools import chain, groupby, pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Final, Literal, NamedTuple, TypeAlias, cast
 
 import numpy as np
+from pydantic import AfterValidator, Field, PlainValidator, StrictStr, ValidationError
 
 from cosim.arrays import NAN, Matrix, Vector
 from cosim.blocks.field_data import FieldData, FieldSignal, elements_named
-from cosim.errors import UsageError, option, warn
+from cosim.errors import UsageError, option, quoted, warn
 from cosim.files import expanded
 from cosim.instants import NANOSECONDS
 from cosim.scenario.data_files.table import (
     DataTable,
-    FieldForm,
     Header,
     SameTime,
     TableForm,
-    TimeOffset,
     find_headers,
     is_number,
+    is_time_word,
     second_of,
     seconds_in,
     unit_of,
 )
 from cosim.scenario.data_files.tables import read_table
+from cosim.scenario.document.document import plain
+from cosim.scenario.document.problems import TableProblems, problems_of
+from cosim.units import base_unit, unknown_unit
 
 if TYPE_CHECKING:
     from cosim.log.foreign.samples import FieldSamples
     from cosim.log.foreign.spacing import Instants, Spacing
 
-MCAP: Final = ".mcap"
 MOST_VALUES: Final = 2**26  # of all signals at all times
 _MOST_NS: Final = 2**63
 _LONG_GAP: Final = 2  # median distances that are worth a word
@@ -59,12 +62,92 @@ _LONG_GAP: Final = 2  # median distances that are worth a word
 SamplesByField: TypeAlias = "Mapping[str, FieldSamples]"
 
 
+def _time_unit(name: str) -> str:
+    if not is_time_word(name) and base_unit(name) is None:
+        raise ValueError(unknown_unit(name))
+    return name
+
+
+def _offset(value: object) -> object:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if value != "first" and not (is_number and math.isfinite(cast(float, value))):
+        raise ValueError(f'expected a finite number or "first", got {quoted(value)}')
+    return value
+
+
+TimeUnit: TypeAlias = Annotated[str, AfterValidator(_time_unit)]
+Offset: TypeAlias = Annotated[int | float | Literal["first"], PlainValidator(_offset)]
+
+
+class FieldForm(TableForm):
+    """A file of samples, and what is given of them."""
+
+    path: str = Field(
+        description="path of a table: CSV and other text, .parquet, .xlsx, .mat (trajectory of "
+        "Dymola or OpenModelica, arrays); or of an MCAP (.mcap) with messages in protobuf, JSON or "
+        "CDR (ROS 2)"
+    )
+    time: str | None = Field(
+        None,
+        description="column of the times; default: the index of times that pandas wrote, the "
+        'column named as times are, such as "t", "Time [s]" or "timestamp", the one with a unit of '
+        'time, the one of dates, or the first, with a warning; MCAP: "log_time" '
+        '(default), "publish_time", or a field such as "header.stamp"',
+    )
+    time_unit: TimeUnit | None = Field(
+        None, description="unit of the times; default: from the column name, as in t [ms], or s"
+    )
+    offset: Offset | None = Field(
+        None,
+        description="time stamp of t = 0, in the unit of the file (dates: ns since 1970), an "
+        'integer exactly, or "first"; default: 0; MCAP: '
+        'in time_unit, default "first", the first time when all fields used have a sample',
+    )
+    columns: dict[str, StrictStr | list[StrictStr]] | None = Field(
+        None,
+        description='columns per output, such as { y = "level", x_a = ["s1", "s2"] }; default: one '
+        "output per column, x[0], x[1], ... as elements of x; MCAP: fields, such as "
+        '{ y = "/drive/state.position", u = ["/cmd.a", "/cmd.b[3]"] }; default: those in the '
+        "map of the swap",
+    )
+    missing: tuple[Annotated[float, Field(strict=True)] | StrictStr, ...] = Field(
+        (),
+        description="what stands for no measured value, beside empty cells and NaN, as in "
+        '[-9999, "NA"]',
+    )
+    same_time: SameTime | None = Field(
+        None,
+        description='samples of one time stamp: the "last" counts, or they are "spread" evenly up '
+        "to the next time stamp, as where stamps are whole seconds; default: refused; trajectory "
+        'in a .mat, MCAP: "last"',
+    )
+
+    @property
+    def is_mcap(self) -> bool:
+        """Whether the samples are fields of messages."""
+        return Path(self.path).suffix.lower() == ".mcap"
+
+    @property
+    def listed_columns(self) -> dict[str, list[str]]:
+        """The columns of every signal as a list.
+
+        Raises
+        ------
+        UsageError
+            If a signal has none.
+        """
+        columns = self.columns or {}
+        if not all(columns.values()):
+            raise UsageError(f"columns: expected a column for each signal, got {columns}")
+        return {name: [own] if isinstance(own, str) else own for name, own in columns.items()}
+
+
 def read_field_data(
     path: str | Path,
     *,
     time: str | None = None,
     time_unit: str | None = None,
-    offset: TimeOffset | None = None,
+    offset: float | Literal["first"] | None = None,
     columns: Mapping[str, str | Sequence[str]] | None = None,
     separator: str | None = None,
     decimal: str | None = None,
@@ -125,16 +208,12 @@ def read_field_data(
     >>> data["level"][:, 0].tolist()
     [1.5, nan, 2.5]
     """
-    if isinstance(missing, str):  # a sequence too, of letters
-        raise UsageError(f"missing: expected a list of numbers and texts, got {missing!r}")
-    form = FieldForm(
-        time=time,
-        time_unit=time_unit,
-        offset=offset,
-        same_time=same_time,
-        columns=columns,
-        table=TableForm(separator, decimal, skip, comment, tuple(missing), sheet),
-    )
+    given = {**locals(), "path": str(path)}
+    options = plain({key: value for key, value in given.items() if value is not None})
+    try:
+        form = FieldForm.model_validate(options)
+    except ValidationError as error:
+        raise TableProblems(problems_of(error, FieldForm, options, ())) from error
     data = field_data(path, form)
     warn(data.diagnostics)
     return data
@@ -148,16 +227,15 @@ def field_data(
     ``unread`` takes the signals that cannot be read, and why, where that shall be no error.
     """
     path = expanded(path)
-    form = form or FieldForm()
-    if path.suffix.lower() == MCAP:
-        fields = listed_columns(form.columns or {})
-        check_asked(path, fields, form.same_time)
-        samples = read_samples(path, chain.from_iterable(fields.values()), form)
-        return recorded_data(path, fields, samples, form)
-    table = read_table(path, form.table)
+    form = form or FieldForm.model_validate({"path": str(path)})
+    if form.is_mcap:
+        fields = form.listed_columns
+        wanted = chain.from_iterable(fields.values())
+        return message_data(form, path, fields, partial(read_samples, form, path, wanted))
+    table = read_table(path, form, form.missing)
     named = [header for header in table.headers if header.text]
     clock, notes = _clock(table, named, form)
-    chosen = _signals(table.label, named, clock, form.columns)
+    chosen = _signals(table.label, named, clock, form)
     times = _times(table, clock, form)
     signals = []
     for name, parts in chosen.items():
@@ -168,7 +246,7 @@ def field_data(
                 raise
             unread[name] = str(error).removeprefix(f"{table.label}, ")
             continue
-        values = without_codes(np.stack(columns, axis=1)[times.rows], form.table.missing)
+        values = _without_codes(np.stack(columns, axis=1)[times.rows], form.missing)
         unit = unit_of(table.label, name, parts)
         signals.append(FieldSignal(name, unit, values, tuple(part.text for part in parts)))
     return FieldData(
@@ -181,23 +259,7 @@ def field_data(
     )
 
 
-def listed_columns(columns: Mapping[str, str | Sequence[str]]) -> dict[str, list[str]]:
-    """Return the columns of every signal as a list.
-
-    Raises
-    ------
-    UsageError
-        If a signal has none.
-    """
-    listed = {}
-    for name, wanted in columns.items():
-        listed[name] = [wanted] if isinstance(wanted, str) else list(wanted)
-    if not all(listed.values()):
-        raise UsageError(f"columns: expected a column for each signal, got {dict(columns)}")
-    return listed
-
-
-def without_codes(values: Matrix, missing: Sequence[float | str]) -> Matrix:
+def _without_codes(values: Matrix, missing: Sequence[float | str]) -> Matrix:
     """Return values with NaN in the place of numbers that stand for no measured value.
 
     Texts that are numbers are meant as such, and a column of float32 has a code as float32.
@@ -231,12 +293,12 @@ def _clock(
     UsageError
         If several may be it.
     """
-    unnamed = [one for one in table.headers if not one.text and one.position in table.index]
+    unnamed = [one for one in table.headers if not one.text and one.is_index]
     reason = ""
     notes: tuple[str, ...] = ()
     if form.time is not None:
         (clock,) = find_headers(table.label, named, [form.time])
-    elif candidates := _candidates(table, [*unnamed, *named]):
+    elif candidates := _candidates([*unnamed, *named]):
         clock = candidates[0]
         if len(candidates) > 1:
             names = ", ".join(repr(header.name) for header in candidates)
@@ -250,10 +312,9 @@ def _clock(
         is_named = clock.times is not None or clock.time_unit is not None
         reason = "says so by its name or unit" if is_named else "has dates or durations"
     else:
-        index = [header for header in named if header.position in table.index]
+        index = [header for header in named if header.is_index]
         clock = [*unnamed, *index, *named][0]
-        is_index = clock.position in table.index
-        where = "the index that pandas wrote" if is_index else "the first column"
+        where = "the index that pandas wrote" if clock.is_index else "the first column"
         name = f", {clock.name!r}" if clock.name else ""
         reason = "no column says that it has times"
         note = (
@@ -266,30 +327,23 @@ def _clock(
     return clock, notes
 
 
-def _candidates(table: DataTable, headers: Sequence[Header]) -> list[Header]:
+def _candidates(headers: Sequence[Header]) -> list[Header]:
     """Return the columns that say of themselves that they have times, in the first way."""
-    stamps = [header for header in headers if header.position in table.stamp_units]
-    timed = [header for header in headers if header.time_unit is not None]
-    called = []
-    for header in headers:
-        is_number = header.has_dates and header.position in table.numbers
-        if header.times is not None and not is_number:
-            called.append(header)
-    index = [one for one in (*called, *timed, *stamps) if one.position in table.index]
+    stamps = [one for one in headers if one.stamp_unit is not None]
+    timed = [one for one in headers if one.time_unit is not None]
+    called = [one for one in headers if one.times and not (one.has_dates and one.is_number)]
+    index = [one for one in (*called, *timed, *stamps) if one.is_index]
     return list(dict.fromkeys(index)) or called or timed or stamps
 
 
 def _signals(
-    label: str,
-    named: Sequence[Header],
-    clock: Header,
-    columns: Mapping[str, str | Sequence[str]] | None,
+    label: str, named: Sequence[Header], clock: Header, form: FieldForm
 ) -> dict[str, list[Header]]:
     """Return the columns of every signal."""
-    if columns is not None:
-        if not columns:
+    if form.columns is not None:
+        if not form.columns:
             raise UsageError("columns: expected a column for each signal, got {}")
-        listed = listed_columns(columns).items()
+        listed = form.listed_columns.items()
         return {name: find_headers(label, named, parts) for name, parts in listed}
     others = [header for header in named if header != clock]
     own = {header.name: header for header in others}
@@ -321,7 +375,7 @@ def _times(table: DataTable, clock: Header, form: FieldForm) -> _Times:
         If there are none, they do not ascend, or have no unit of time.
     """
     stamps = table.times(clock.position)
-    own = table.stamp_units.get(clock.position)
+    own = clock.stamp_unit
     if own is not None and form.time_unit is not None:
         raise UsageError(
             f"{table.label}: column {clock.name!r}: expected numbers, as time_unit is "
@@ -364,23 +418,19 @@ def _times(table: DataTable, clock: Header, form: FieldForm) -> _Times:
 
 
 def _check_increasing(table: DataTable, seconds: Sequence[float], rows: Sequence[int]) -> None:
-    before = -math.inf
-    for number, t in enumerate(seconds):
+    for number, (before, t) in enumerate(pairwise([-math.inf, *seconds])):
         if before < t < math.inf:
-            before = t
             continue
-        place = f"{table.label}, {table.place(rows[number])}"
-        if not math.isfinite(t):
-            raise UsageError(f"{place}: expected a finite time, got {t!r} s")
         way_out = "select another column by time"
         if t == before:
             way_out += (
                 ', or samples of one time stamp by same_time: "spread" spreads them evenly up '
                 'to the next one, "last" takes the last'
             )
+        place = f"in {table.place(rows[number - 1])}" if number else "the beginning"
         raise UsageError(
-            f"{place}: expected increasing times, got {t!r} s after {before!r} s in "
-            f"{table.place(rows[number - 1])}; {way_out}"
+            f"{table.label}, {table.place(rows[number])}: expected increasing times, got {t!r} s "
+            f"after {before!r} s {place}; {way_out}"
         )
 
 
@@ -413,27 +463,7 @@ def _spread(label: str, stamps: Sequence[Decimal]) -> list[Decimal]:
 # --- fields of messages ---
 
 
-def check_asked(path: Path, columns: Mapping[str, Sequence[str]], same_time: str | None) -> None:
-    """Check that some field of a file is asked for, and of messages of one time the last.
-
-    Raises
-    ------
-    UsageError
-        If that is not so.
-    """
-    if same_time not in (None, "last"):
-        raise UsageError(
-            f'file {str(path)!r}: same_time: expected "last" of messages, got {same_time!r}'
-        )
-    if not columns:
-        map_option = option("map", "PORT", "/topic.field")
-        raise UsageError(
-            f"file {str(path)!r}: expected a map, {map_option}, or columns = "
-            "{ y = \"/topic.field\" }, got neither; 'cosim info' lists the fields"
-        )
-
-
-def read_samples(path: Path, fields: Iterable[str], form: FieldForm) -> SamplesByField:
+def read_samples(form: FieldForm, path: Path, fields: Iterable[str]) -> SamplesByField:
     """Read fields of the messages in an MCAP file, in one pass.
 
     Raises
@@ -449,27 +479,38 @@ def read_samples(path: Path, fields: Iterable[str], form: FieldForm) -> SamplesB
     return dict(zip(names, found, strict=True))
 
 
-def recorded_data(
-    path: Path, columns: Mapping[str, Sequence[str]], samples: SamplesByField, form: FieldForm
+def message_data(
+    form: FieldForm,
+    path: Path,
+    columns: Mapping[str, Sequence[str]],
+    read: Callable[[], SamplesByField],
 ) -> FieldData:
     """Return fields of messages as signals.
 
     Parameters
     ----------
+    form : FieldForm
+        Its offset is in its unit of time; None: "first".
     path : Path
     columns : mapping of signal to fields
         Which are its elements, one behind the other.
-    samples : mapping of field to FieldSamples
-        At least of these; with ``"first"`` all of them have a sample at t = 0.
-    form : FieldForm
-        Its offset is in its unit of time; None: "first".
+    read : callable
+        Returns the samples of at least these fields; with ``"first"`` all have one at t = 0.
 
     Raises
     ------
     UsageError
-        If the times are too far from the offset, or there are too many of them.
+        If no field is asked for, the times are too far from the offset, or there are too many.
     """
     label = f"file {str(path)!r}"
+    if form.same_time not in (None, "last"):
+        raise UsageError(f'{label}: same_time: expected "last" of messages, got {form.same_time!r}')
+    if not columns:
+        raise UsageError(
+            f"{label}: expected a map, {option('map', 'PORT', '/topic.field')}, or columns = "
+            "{ y = \"/topic.field\" }, got neither; 'cosim info' lists the fields"
+        )
+    samples = read()
     unit_ns = _unit_ns(label, form.time_unit)
     if form.offset is None or form.offset == "first":
         zero_ns = max(_first_measured(found) for found in samples.values())
@@ -495,7 +536,7 @@ def recorded_data(
     for name, fields in columns.items():
         found = [samples[field] for field in fields]
         values = np.hstack([_at_times(one, time_ns) for one in found])
-        values = without_codes(values, form.table.missing)
+        values = _without_codes(values, form.missing)
         signals.append(FieldSignal(name, None, values, tuple(fields)))
         if any(one.is_discrete for one in found):
             discrete.append(name)

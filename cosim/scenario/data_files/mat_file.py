@@ -216,41 +216,41 @@ class MatTable(DataTable):
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         variables = read_variables(self.label, content_of(path))
-        matrices: dict[str, Matrix] = {}
-        others: dict[str, OtherVariable] = {}
-        for name, value in variables.items():
-            if isinstance(value, OtherVariable):
-                others[name] = value
-            else:
-                matrices[name] = value
+        others = {key: own for key, own in variables.items() if isinstance(own, OtherVariable)}
+        matrices = {
+            key: own for key, own in variables.items() if not isinstance(own, OtherVariable)
+        }
         if others.get("signals") == OtherVariable("a struct"):
             raise UsageError(
                 f"{self.label}: expected samples, got a log that 'cosim convert' wrote; use the "
                 "log itself, or convert it to Parquet"
             )
         self._columns: list[tuple[Vector, float]] = []  # with its sign
-        self._rows = 0
+        is_trajectory = {"Aclass", "name"} <= others.keys() and "dataInfo" in matrices
         try:
-            if {"Aclass", "name"} <= others.keys() and "dataInfo" in matrices:
-                form = "a trajectory of Dymola or OpenModelica"
-                self._take_trajectory(matrices, others)
+            if is_trajectory:
+                self._rows = self._take_trajectory(matrices, others)
             else:
-                form = "matrices of equally many rows"
-                self._take_matrices(matrices)
+                self._rows = self._take_matrices(matrices)
         except (KeyError, IndexError, ValueError) as error:
             raise UsageError(f"{self.label}: a damaged trajectory: {error}") from error
+        form = (
+            "a trajectory of Dymola or OpenModelica"
+            if is_trajectory
+            else "matrices of equally many rows"
+        )
         self.tell("variables", form, "by their names and sizes", "")
-        self.numbers = set(range(len(self._columns)))
 
     def _add(self, name: str, unit: str, column: Vector, sign: float = 1.0) -> None:
-        header = Header(name, name, None, len(self._columns))
-        self.add_header(header, unit, "its description")
+        self.add_header(
+            Header(name, name, None, len(self._columns), is_number=True), unit, "its description"
+        )
         self._columns.append((column, sign))
 
     def _take_trajectory(
         self, matrices: Mapping[str, Matrix], others: Mapping[str, OtherVariable]
-    ) -> None:
-        """Take the variables of a simulation; parameters have one value."""
+    ) -> int:
+        """Take the variables of a simulation; parameters have one value. Return its rows."""
         self.same_time = "last"
         if not others["Aclass"].rows:
             raise ValueError("expected a MAT-file of version 4, got a later one")
@@ -259,30 +259,27 @@ class MatTable(DataTable):
         if others["Aclass"].rows[3].strip("\0 ") == "binTrans":
             names, texts = [tuple(map("".join, zip(*t, strict=True))) for t in (names, texts)]
             blocks = {name: matrix.T for name, matrix in matrices.items()}
-        self._rows = len(blocks["data_2"])
+        rows = len(blocks["data_2"])
         info = blocks["dataInfo"].astype(np.int64).tolist()
         for name, text, (block, column, *_) in zip(names, texts, info, strict=True):
             unit = _UNIT.fullmatch(text.strip("\0 "))
             data = blocks[f"data_{block or 2}"]  # 0: the time, which is that of all
-            if not 0 < abs(column) <= data.shape[1] or len(data) not in (2, self._rows):
+            if not 0 < abs(column) <= data.shape[1] or len(data) not in (2, rows):
                 raise ValueError(f"{name.strip()!r} is in a column that is not there")
-            shown = data[:, abs(column) - 1]
             declared = unit["unit"].strip() if unit else ""
+            shown = data[:, abs(column) - 1]
             self._add(name.strip("\0 "), declared, shown, math.copysign(1.0, column))
+        return rows
 
-    def _take_columns(self, name: str, unit: str, matrix: Matrix) -> None:
-        """Take the columns of a matrix as the elements of a vector."""
-        for number, column in enumerate(matrix.T):
-            self._add(name if matrix.shape[1] == 1 else f"{name}[{number}]", unit, column)
-
-    def _take_matrices(self, matrices: Mapping[str, Matrix]) -> None:
-        """Take the matrices that have as many rows as most of them."""
+    def _take_matrices(self, matrices: Mapping[str, Matrix]) -> int:
+        """Take the columns of matrices with as many rows as most of them; return how many."""
         upright = {name: m.T if m.shape[0] == 1 else m for name, m in matrices.items()}
         counts = Counter(len(matrix) for matrix in upright.values() if len(matrix) > 1)
-        self._rows = counts.most_common(1)[0][0] if counts else 0
+        rows = counts.most_common(1)[0][0] if counts else 0
         for name, matrix in upright.items():
-            if len(matrix) == self._rows:
-                self._take_columns(name, "", matrix)
+            for number, column in enumerate(matrix.T if len(matrix) == rows else ()):
+                self._add(name if matrix.shape[1] == 1 else f"{name}[{number}]", "", column)
+        return rows
 
     def numbers_of(self, position: int) -> Vector:
         """Return the numbers of a column; a parameter has its value at all times."""
@@ -301,48 +298,30 @@ class MatTable(DataTable):
 # --- models ---
 
 
-@dataclass(frozen=True, eq=False)
-class ModelFile:
-    """The variables of a file that are matrices of a model, and a hash of the file.
-
-    Parameters
-    ----------
-    matrices : dict of str to Matrix
-    others : tuple of str
-        What else is in the file.
-    sha256 : str
-    """
-
-    matrices: dict[str, Matrix]
-    others: tuple[str, ...]
-    sha256: str
-
-
-def read_model_file(path: Path, letters: tuple[str, ...]) -> ModelFile:
-    """Read the matrices of these names, as far as a MAT-file has them.
+def read_model_file(path: Path, letters: tuple[str, ...]) -> tuple[dict[str, Matrix], str]:
+    """Return the matrices of a model, as far as a MAT-file has them, and its SHA-256.
 
     Raises
     ------
     UsageError
-        If the file cannot be read or is none of that kind, or a variable of these names is no
-        matrix of finite real numbers.
+        If the file cannot be read or is none of that kind, has no A or C, or a variable of these
+        names is no matrix of real numbers.
     """
     content = content_of(path)
     variables = read_variables(f"file {path}", content)
     matrices = {}
     for name in letters:
-        value = variables.pop(name, None)
+        value = variables.get(name)
         if isinstance(value, OtherVariable):
             raise UsageError(
                 f"file {path}: {name}: expected a matrix of real numbers, got {value.what}"
             )
         if value is not None and value.shape != (0, 0):  # MATLAB's [], which stands for none
             matrices[name] = value
-    sha256 = hashlib.sha256(content).hexdigest()
-    return ModelFile(matrices, tuple(sorted(variables)), sha256)
-
-
-def missing_text(file: str, content: ModelFile, missing: list[str]) -> str:
-    """Return what to say where a file lacks matrices of a model."""
-    names = listing([*content.matrices, *content.others]) or "none"
-    return f"file {file}: expected A and C, got no {' and '.join(missing)}; available: {names}"
+    missing = [name for name in ("A", "C") if name not in matrices]
+    if missing:
+        raise UsageError(
+            f"file {path}: expected A and C, got no {' and '.join(missing)}; available: "
+            f"{listing(sorted(variables)) or 'none'}"
+        )
+    return matrices, hashlib.sha256(content).hexdigest()

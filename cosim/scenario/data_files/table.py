@@ -10,24 +10,25 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple, TypeAlias, get_args
+from typing import Annotated, Any, Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
+from pydantic import Field
 
 from cosim.arrays import NAN, Matrix, Vector
 from cosim.errors import UsageError, nearest
 from cosim.files import read_bounded
 from cosim.instants import EXACT
+from cosim.scenario.document.schema import TomlTable, Whole
 from cosim.units import base_unit
 
 LARGEST: Final = 2**28  # bytes
 NO_UNIT: Final = ("-", "1")  # as dimensionless quantities are often marked
 
-TimeOffset: TypeAlias = float | Literal["first"]
 SameTime: TypeAlias = Literal["last", "spread"]
 
 _HEADER: Final = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<unit>[^\[\]]+)\]|\((?P<known>[^()]+)\))")
@@ -36,87 +37,64 @@ _TIMES: Final = re.compile(
     r"(?i:times?|zeit|uhrzeit|time_?stamps?|zeitstempel|(elapsed|simulation|log)_?time))"
     r"(_(?P<unit>[mun]?s(ec)?|min|h|(?i:(milli|micro|nano)?seconds|minutes|hours)))?"
 )
-# units of time in words of English and German, and the symbols of their beginnings
-_TIME_WORDS: Final = re.compile(
-    r"(?P<prefix>milli|mi[ck]ro|nano)?(seconds?|sekunden?)|minute[ns]?|hours?|stunden?|days?|tage?",
-    re.IGNORECASE,
-)
-_PREFIXED: Final = {"mil": "ms", "mic": "us", "mik": "us", "nan": "ns"}
-_SYMBOLS: Final = {"se": "s", "mi": "min", "ho": "h", "st": "h", "da": "d", "ta": "d"}
+_PREFIXES: Final = {"": "", "milli": "m", "micro": "u", "mikro": "u", "nano": "n"}
+# units of time in words of English and German, and their symbols
+_TIME_WORDS: Final = {
+    **{
+        f"{prefix}{word}": f"{symbol}s"
+        for prefix, symbol in _PREFIXES.items()
+        for word in ("second", "seconds", "sekunde", "sekunden")
+    },
+    **dict.fromkeys(("minute", "minutes", "minuten"), "min"),
+    **dict.fromkeys(("hour", "hours", "stunde", "stunden"), "h"),
+    **dict.fromkeys(("day", "days", "tag", "tage"), "d"),
+}
 
 
 # --- what is given ---
 
 
-@dataclass(frozen=True, slots=True)
-class TableForm:
-    """What is given of the form of a table; see the keys of the kind field-data.
+class TableForm(TomlTable):
+    """How a table stands in its file, where that is not as it is found."""
 
-    Parameters
-    ----------
-    separator, decimal, comment, sheet : str or None
-    skip : int or None
-        Lines before the names of the columns; None: they are found.
-    missing : tuple of numbers and texts
-        That stand for no measured value.
-
-    Raises
-    ------
-    UsageError
-        If ``decimal`` or ``skip`` is none.
-    """
-
-    separator: str | None = None
-    decimal: str | None = None
-    skip: int | None = None
-    comment: str | None = None
-    missing: tuple[float | str, ...] = ()
-    sheet: str | None = None
-
-    def __post_init__(self) -> None:
-        if self.decimal not in (None, ".", ","):
-            raise UsageError(f'decimal: expected "." or ",", got {self.decimal!r}')
-        if self.skip is not None and self.skip < 0:
-            raise UsageError(f"skip: expected a number of lines, got {self.skip}")
+    separator: str | None = Field(
+        None,
+        description="column separator of a text; default: tab, semicolon, vertical bar or "
+        "comma, the one that splits its lines into equally many cells; several blanks are one",
+    )
+    decimal: Literal[".", ","] | None = Field(
+        None, description="decimal separator of a text; default: as found in its numbers"
+    )
+    skip: Annotated[Whole, Field(ge=0)] | None = Field(
+        None,
+        description="lines before the names of the columns; default: the names are found, above "
+        "the first row of numbers, or between them a row of units",
+    )
+    comment: Annotated[str, Field(max_length=10)] | None = Field(
+        None, description='what lines begin with that are left out; default: "#"'
+    )
+    sheet: str | None = Field(None, description="sheet of a workbook; default: its only one")
 
 
-@dataclass(frozen=True, kw_only=True)
-class FieldForm:
-    """What is given of field data; see :func:`cosim.read_field_data`.
-
-    Raises
-    ------
-    UsageError
-        If ``offset`` or ``same_time`` is none.
-    """
-
-    time: str | None = None
-    time_unit: str | None = None
-    offset: TimeOffset | None = None
-    same_time: SameTime | None = None
-    columns: Mapping[str, str | Sequence[str]] | None = None
-    table: TableForm = TableForm()
-
-    def __post_init__(self) -> None:
-        offset = self.offset
-        is_instant = isinstance(offset, int | float) and not isinstance(offset, bool)
-        if offset is not None and offset != "first" and not (is_instant and math.isfinite(offset)):
-            raise UsageError(f'offset: expected a finite number or "first", got {offset!r}')
-        if self.same_time not in (None, *get_args(SameTime)):
-            raise UsageError(f'same_time: expected "last" or "spread", got {self.same_time!r}')
-
+AS_FOUND: Final = TableForm.model_validate({})
 
 # --- names and units of columns ---
 
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """All that is written of a column, its name and unit in it, and where it stands."""
+    """All that is written of a column, its name and unit in it, where it stands, and what it has.
+
+    ``stamp_unit`` is the unit of dates and durations; ``is_index``: it was the index of a frame.
+    """
 
     text: str
     name: str
     unit: str | None
     position: int
+    is_number: bool = False
+    stamp_unit: str | None = None
+    is_index: bool = False
 
     @staticmethod
     def parse(text: str, position: int) -> Header:
@@ -237,15 +215,12 @@ def seconds_in(unit: str) -> float | None:
 
 def is_time_word(text: str) -> bool:
     """Return whether a text is a unit of time in a word, such as ``Millisekunden``."""
-    return _TIME_WORDS.fullmatch(text) is not None
+    return text.lower() in _TIME_WORDS
 
 
 def symbol_of(unit: str) -> str:
     """Return the symbol of a unit of time in a word; any other unit as it is."""
-    word = _TIME_WORDS.fullmatch(unit)
-    if word is None:
-        return unit
-    return _PREFIXED[unit[:3].lower()] if word["prefix"] else _SYMBOLS[unit[:2].lower()]
+    return _TIME_WORDS.get(unit.lower(), unit)
 
 
 def is_number(cell: str) -> bool:
@@ -272,10 +247,8 @@ class Reading(NamedTuple):
 class DataTable:
     """Columns of numbers, each with its position from 0.
 
-    ``headers`` are the columns with a name, ``index`` those that were the index of a frame,
-    ``stamp_units`` has the units of dates and durations, ``numbers`` are the columns of numbers.
     ``same_time`` says what is done with rows of one time where nobody says it. A file has its own
-    :meth:`numbers_of`.
+    :meth:`numbers_of`; its columns are at their positions in ``headers``.
     """
 
     hint = ""
@@ -284,13 +257,12 @@ class DataTable:
     def __init__(self, path: Path) -> None:
         self.label = f"file {str(path)!r}"
         self.headers: list[Header] = []
-        self.index: set[int] = set()
-        self.stamp_units: dict[int, str] = {}
-        self.numbers: set[int] = set()
         self.reading: list[Reading] = []
 
     def numbers_of(self, position: int) -> Sequence[Any] | Vector:
-        """Return the numbers of a column as the file has them, texts too; NaN: not measured.
+        """Return the numbers of a column, as the file has them, texts too; NaN: there is none.
+
+        Of dates and durations, what they count in their unit.
 
         Raises
         ------
@@ -298,10 +270,6 @@ class DataTable:
             If it has something else.
         """
         raise NotImplementedError
-
-    def stamps_of(self, position: int) -> Sequence[Any] | Vector:
-        """Return the time stamps of a column, in its unit; NaN: there is none."""
-        return self.numbers_of(position)
 
     def place(self, row: int) -> str:
         """Return how messages name a row."""
@@ -333,7 +301,7 @@ class DataTable:
         UsageError
             If one is missing, infinite, or none.
         """
-        stamps = [Decimal(str(stamp)) for stamp in self.stamps_of(position)]
+        stamps = [Decimal(str(stamp)) for stamp in self.numbers_of(position)]
         for row, stamp in enumerate(stamps):
             if not stamp.is_finite():
                 found = "an empty cell" if stamp.is_nan() else float(stamp)
@@ -348,6 +316,11 @@ class DataTable:
         UsageError
             If it has something else, an infinite number, or an integer that is no float64.
         """
+        header = self.headers[position]
+        if header.stamp_unit is not None:
+            raise UsageError(
+                f"{self.label}: column {header.text!r}: expected numbers, got dates or durations"
+            )
         written = self.numbers_of(position)
         if isinstance(written, np.ndarray):
             values = written.astype(np.float64)

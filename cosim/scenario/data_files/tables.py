@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,6 +13,7 @@ from cosim.arrays import NAN
 from cosim.errors import UsageError
 from cosim.scenario.data_files.mat_file import MatTable
 from cosim.scenario.data_files.table import (
+    AS_FOUND,
     LARGEST,
     DataTable,
     Header,
@@ -19,13 +21,22 @@ from cosim.scenario.data_files.table import (
     content_of,
     is_number,
 )
-from cosim.scenario.data_files.text_table import TextTable, excel_table, text_table
+from cosim.scenario.data_files.text_table import TextTable
 
 _BYTES: Final = 8  # of a number
 
 
-def read_table(path: Path, form: TableForm | None = None) -> DataTable:
+def read_table(
+    path: Path, form: TableForm = AS_FOUND, missing: Sequence[float | str] = ()
+) -> DataTable:
     """Read a table by the ending of its name; all that is none of the others is text.
+
+    Parameters
+    ----------
+    path : Path
+    form : TableForm, optional
+    missing : sequence of numbers and texts
+        That stand for no measured value; a cell may have such a text.
 
     Raises
     ------
@@ -39,10 +50,9 @@ def read_table(path: Path, form: TableForm | None = None) -> DataTable:
         case ".mat":
             table = MatTable(path)
         case _:
-            table = read_texts(path, form, is_text=False)
+            table = TextTable(path, form, missing)
     named = [header for header in table.headers if header.text]
-    unnamed = table.index & {header.position for header in table.headers if not header.text}
-    if len(named) + len(unnamed) < 2:
+    if sum(bool(header.text) or header.is_index for header in table.headers) < 2:
         raise UsageError(
             f"{table.label}: expected at least two named columns (times and samples), got "
             f"{len(named)}{table.hint}"
@@ -50,18 +60,6 @@ def read_table(path: Path, form: TableForm | None = None) -> DataTable:
     if all(is_number(header.name) for header in named):
         raise UsageError(f"{table.label}: expected column names in line 1, got numbers")
     return table
-
-
-def read_texts(path: Path, form: TableForm | None = None, *, is_text: bool = True) -> TextTable:
-    """Read a table of cells, which need not be numbers and may span several lines, without units.
-
-    Raises
-    ------
-    UsageError
-        As :func:`read_table`.
-    """
-    read = excel_table if path.suffix.lower() in (".xlsx", ".xlsm") else text_table
-    return read(path, form or TableForm(), is_text=is_text)
 
 
 class ParquetTable(DataTable):
@@ -87,14 +85,16 @@ class ParquetTable(DataTable):
         self._types = schema.types
         entries = _pandas_index(schema)
         for position, (name, column) in enumerate(zip(names, schema, strict=True)):
-            if pyarrow.types.is_timestamp(column.type) or pyarrow.types.is_duration(column.type):
-                self.stamp_units[position] = column.type.unit
-            elif pyarrow.types.is_integer(column.type) or pyarrow.types.is_floating(column.type):
-                self.numbers.add(position)
-            if name in entries:
-                self.index.add(position)
+            kind = column.type
+            is_stamp = pyarrow.types.is_timestamp(kind) or pyarrow.types.is_duration(kind)
+            header = replace(
+                Header.parse(name, position),
+                is_number=pyarrow.types.is_integer(kind) or pyarrow.types.is_floating(kind),
+                stamp_unit=kind.unit if is_stamp else None,
+                is_index=name in entries,
+            )
             unit = (column.metadata or {}).get(b"unit", b"").decode("utf-8", "replace").strip()
-            self.add_header(Header.parse(name, position), unit, "its metadata")
+            self.add_header(header, unit, "its metadata")
         # pandas keeps an index of evenly spaced integers, row numbers or others, only there
         self._ranges: dict[int, range] = {}
         for entry in entries:
@@ -107,8 +107,7 @@ class ParquetTable(DataTable):
             is_named = header.times is not None or header.time_unit is not None
             if is_counted and (is_named or numbers.step > 1):
                 self._ranges[header.position] = numbers
-                self.add_header(header)
-        self.index |= self._ranges.keys()
+                self.add_header(replace(header, is_index=True))
         if rows * len(self.headers) * _BYTES > LARGEST:
             raise UsageError(
                 f"{self.label}: expected at most {LARGEST // _BYTES} numbers, got {rows} rows of "
@@ -123,27 +122,21 @@ class ParquetTable(DataTable):
             raise UsageError(f"{self.label}: not a valid Parquet file") from error
 
     def numbers_of(self, position: int) -> Sequence[Any]:
-        """Return the numbers of a column; NaN for null."""
-        return self._column(position, is_read=position in self.numbers)
-
-    def stamps_of(self, position: int) -> Sequence[Any]:
-        """Return numbers, or what dates and durations count."""
-        return self._column(position, is_read=position in self.numbers | self.stamp_units.keys())
-
-    def _column(self, position: int, *, is_read: bool) -> Sequence[Any]:
+        """Return the numbers of a column, or what dates and durations count; NaN for null."""
         if position in self._ranges:
             return self._ranges[position]
-        if not is_read:
+        header = self.headers[position]
+        if not header.is_number and header.stamp_unit is None:
             raise UsageError(
-                f"{self.label}: column {self.headers[position].text!r}: expected numbers, got type "
+                f"{self.label}: column {header.text!r}: expected numbers, got type "
                 f"{self._types[position]}"
             )
         names = self._file.schema_arrow.names
         name = names[position]
         with self._only_parquet():
             column = self._file.read(columns=[name]).column(names[:position].count(name))
-            stamps = column.cast("int64") if position in self.stamp_units else column
-            return [NAN if number is None else number for number in stamps.to_pylist()]
+            numbers = column if header.stamp_unit is None else column.cast("int64")
+            return [NAN if number is None else number for number in numbers.to_pylist()]
 
 
 def _pandas_index(schema: Any) -> list[Any]:

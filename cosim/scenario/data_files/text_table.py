@@ -12,19 +12,20 @@ import csv
 import re
 import zipfile
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from decimal import Decimal
 from io import BytesIO
-from itertools import islice
+from itertools import chain, islice, takewhile
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from cosim.errors import UsageError, listing, nearest
 from cosim.filters import ignored_warnings
 from cosim.instants import NANOSECONDS
 from cosim.scenario.data_files.table import (
+    AS_FOUND,
     LARGEST,
     NO_UNIT,
     DataTable,
@@ -99,147 +100,223 @@ def _is_unit(text: str) -> bool:
 # --- rows of cells ---
 
 
-@dataclass(slots=True)
-class _Row:
-    """A row of cells and its number from 1; without cells: the line cannot be split."""
+class CellRow(NamedTuple):
+    """The number of a row, from 1, and its cells; none: the line cannot be split."""
 
     number: int
     cells: list[str]
 
 
 @dataclass(frozen=True, slots=True)
-class _Sheet:
-    """The rows of a file, comments apart; ``unit`` names a row in messages."""
+class Sheet:
+    """The rows of a file, comments apart; ``unit`` names a row in messages.
 
-    rows: list[_Row]
-    comments: list[_Row]
+    ``source`` is what was found of the file itself, the arguments of :meth:`DataTable.tell`.
+    """
+
+    label: str
+    rows: list[CellRow]
+    comments: list[CellRow]
+    source: tuple[Any, ...]
     unit: str = "line"
     separator: str | None = None
 
+    def at(self, row: CellRow) -> str:
+        """Return how messages name a row."""
+        return f"{self.unit} {row.number}"
+
+    @property
+    def width(self) -> int:
+        """How many cells most rows have."""
+        widths = Counter(len(row.cells) for row in self.rows[-_SAMPLE:] if row.cells)
+        width = max(widths, key=lambda width: widths[width], default=0)
+        if width > MOST_COLUMNS:
+            raise UsageError(f"{self.label}: expected at most {MOST_COLUMNS} columns, got {width}")
+        return width
+
+    def check_widths(self, names: CellRow, rows: Iterable[CellRow]) -> None:
+        """Refuse rows of another width than the names have."""
+        width = len(names.cells)
+        for row in rows:
+            found = len(row.cells)
+            if not found:
+                raise UsageError(
+                    f"{self.label}: {self.at(row)} cannot be split: text beside quotes, or a cell "
+                    "that spans several lines"
+                )
+            if found != width:
+                hint = "; quote a cell that contains the separator" if found > width else ""
+                raise UsageError(
+                    f"{self.label}, {self.at(row)}: expected {width} cells, got {found}{hint}"
+                )
+
+    def decimal(self, columns: Iterable[Iterable[str]]) -> str:
+        """Return the decimal sign of cells: a comma where it is in numbers, and no point is.
+
+        Raises
+        ------
+        UsageError
+            If it may separate thousands.
+        """
+        commas: list[str] = []
+        for cell in chain.from_iterable(columns):
+            if self.separator == "," or ("." in cell and is_number(cell)):
+                return "."
+            if "," in cell and is_number(cell.replace(",", ".", 1)):
+                commas.append(cell)
+        if commas and all(map(_THOUSANDS.fullmatch, commas)):
+            raise UsageError(
+                f"{self.label}: expected commas that are decimal signs or separate thousands, got "
+                'three digits behind each; decimal = "," reads them as decimal signs'
+            )
+        return "," if commas else "."
+
+
+def read_sheet(path: Path, form: TableForm, *, spanning: bool = False) -> Sheet:
+    """Read the rows of a text, or of the sheet of a workbook; see :func:`text_sheet`."""
+    if path.suffix.lower() in (".xlsx", ".xlsm"):
+        return excel_sheet(path, form)
+    return text_sheet(path, form, spanning=spanning)
+
+
+def read_texts(path: Path) -> list[tuple[str, list[str]]]:
+    """Read columns of texts, which may span several lines, by their names in the first row.
+
+    Numbers have decimal points.
+
+    Raises
+    ------
+    UsageError
+        If the file cannot be read, is too large, is no table, or a library is missing.
+    """
+    sheet = read_sheet(path, AS_FOUND, spanning=True)
+    width = sheet.width
+    wide = [place for place, row in enumerate(sheet.rows) if len(row.cells) == width]
+    if sheet.separator is None:  # the rows of a workbook are filled up
+        wide = [place for place in wide if sheet.rows[place].cells[-1].strip()] or wide
+    names, *rows = sheet.rows[wide[0] :] if wide else [CellRow(1, [])]
+    sheet.check_widths(names, rows)
+    columns = [[row.cells[place].strip() for row in rows] for place in range(len(names.cells))]
+    if sheet.decimal(columns) == ",":
+        columns = [list(map(_with_point, column)) for column in columns]
+    return list(zip((name.strip() for name in names.cells), columns, strict=True))
+
+
+def _with_point(cell: str) -> str:
+    point = cell.replace(",", ".")
+    return point if is_number(point) else cell
+
 
 class TextTable(DataTable):
-    """Names of columns, and rows of cells below them.
+    """Names of columns, and rows of cells below them; texts of ``missing`` are empty cells."""
 
-    ``is_text``: the cells need not be numbers, and there are no units.
-    """
-
-    def __init__(self, path: Path, form: TableForm, sheet: _Sheet, *, is_text: bool) -> None:
+    def __init__(self, path: Path, form: TableForm, missing: Sequence[float | str] = ()) -> None:
         super().__init__(path)
-        self._unit = sheet.unit
-        self._separator = sheet.separator
-        self._gaps = {"", *(code for code in form.missing if isinstance(code, str))}
-        width = self._width(sheet, is_text=is_text)
+        self._sheet = sheet = read_sheet(path, form)
+        self._gaps = {"", *(code for code in missing if isinstance(code, str))}
+        has_blanks = any(" " in cell.strip() for row in sheet.rows[-1:] for cell in row.cells)
+        if sheet.separator not in (None, " ") and has_blanks:
+            self.hint = f' (separated by {sheet.separator!r}; separator = " " splits at blanks)'
+        width = self._trimmed_width()
         found: set[int] = set()
         for row in sheet.rows[-_SAMPLE:]:
             if len(row.cells) == width:
                 found |= {place for place, cell in enumerate(row.cells) if _is_value(cell)}
         self._numeric = sorted(found)  # columns with numbers or times
-        rows = self._from_names(sheet, width, form, is_text=is_text)
-        names = rows[0] if rows else _Row(1, [])
-        self._check_widths(rows[1:], names)
-        may_have_units = len(rows) > 1 and bool(self._numeric) and not is_text
-        has_units = may_have_units and self._are_units(rows[1], names)
-        units = rows[1] if has_units else None
-        self._rows = rows[2:] if has_units else rows[1:]
-        if self._rows and len(names.cells) > 1 and not (self._numeric or is_text):
+        rows = sheet.rows if form.skip is not None else self._from_names(width)
+        names, *self._rows = rows or [CellRow(1, [])]
+        sheet.check_widths(names, self._rows)
+        units = None
+        if self._rows and self._numeric and self._are_units(self._rows[0], names):
+            units = self._rows.pop(0)
+        if self._rows and len(names.cells) > 1 and not self._numeric:
             raise UsageError(f"{self.label}: expected rows of numbers, got text")
-        self._decimal = form.decimal or self._likely_decimal(is_text=is_text)
-        self._tell(sheet, form, names, units)
-        self._take_columns(names, units)
+        self._decimal = form.decimal or sheet.decimal(map(self._stripped, self._numeric))
+        self._tell(form, missing, names, units)
+        for position, text in enumerate(names.cells):
+            unit = units.cells[position].strip().strip("[]()").strip() if units is not None else ""
+            given = (cell for cell in self._stripped(position) if cell not in self._gaps)
+            first = next(given, "")
+            header = replace(
+                Header.parse(text, position),
+                is_number=is_number(first.replace(",", ".")),
+                stamp_unit=None if nanoseconds(first) is None else "ns",
+                is_index=not position and not text.strip(),  # so pandas writes one without a name
+            )
+            self.add_header(header, unit, "the row of units")
 
     # what stands where
 
-    def _width(self, sheet: _Sheet, *, is_text: bool) -> int:
+    def _trimmed_width(self) -> int:
         """Return how many cells most rows have, without a separator at the end of each line."""
-        rows = sheet.rows
-        if sheet.separator is not None:
-            self.hint = f" (separated by {sheet.separator!r})"
-            aligned = (
-                re.split(" +", rows[-1].cells[0].strip(" ")) if rows and rows[-1].cells else []
-            )
-            if len(aligned) > 1 and all(map(is_number, aligned)):
-                self.hint += '; separator = " " splits at blanks'
-        widths = Counter(len(row.cells) for row in rows[-_SAMPLE:] if row.cells)
-        width = max(widths, key=lambda width: widths[width], default=0)
-        if width > MOST_COLUMNS:
-            raise UsageError(f"{self.label}: expected at most {MOST_COLUMNS} columns, got {width}")
-        wide = [row.cells for row in rows if len(row.cells) == width]
-        if not width or is_text or any(cells[-1].strip() for cells in wide):
+        width = self._sheet.width
+        wide = [row.cells for row in self._sheet.rows if len(row.cells) == width]
+        if not width or any(cells[-1].strip() for cells in wide):
             return width
         for cells in wide:
             del cells[-1]
         return width - 1
 
-    def _from_names(
-        self, sheet: _Sheet, width: int, form: TableForm, *, is_text: bool
-    ) -> list[_Row]:
-        """Return the row of the names, and what is below it.
+    def _from_names(self, width: int) -> list[CellRow]:
+        """Return the row of the names, perhaps in a comment, as of numpy, and what is below it.
 
         Raises
         ------
         UsageError
             If there is none, it has numbers too, or there are numbers above the names.
         """
+        sheet = self._sheet
         rows = sheet.rows
-        if form.skip is not None:
-            return rows
-        wide = [place for place, row in enumerate(rows) if len(row.cells) == width]
-        if is_text or not self._numeric:
-            if is_text and sheet.separator is None:  # the rows of a sheet are filled up
-                wide = [place for place in wide if rows[place].cells[-1].strip()] or wide
-            return rows[wide[0] :] if wide else rows
-        data = next(place for place in wide if self._is_data(rows[place]))
-        above = wide[: wide.index(data)]
+        wide = [row for row in rows if len(row.cells) == width]
+        if not self._numeric:
+            return rows[rows.index(wide[0]) :] if wide else rows
+        first = next(filter(self._is_data, wide))
+        above = wide[: wide.index(first)]
+        if not above and rows[0] is not first:
+            before = rows[rows.index(first) - 1]
+            raise UsageError(
+                f"{self.label}: expected {width} names of columns above {sheet.at(first)}, "
+                f"which has {width} cells, got {len(before.cells)} in {sheet.at(before)}"
+            )
+        in_comments = not above
+        if in_comments:
+            comments = [row for row in sheet.comments if row.number < first.number]
+            above = list(takewhile(lambda row: len(row.cells) == width, reversed(comments)))[::-1]
+            rows = [*above, *rows]
         if not above:
-            return self._from_comment(sheet, data)
-        names = rows[above[-1]]
-        for row in rows[: above[-1]]:
+            raise UsageError(
+                f"{self.label}: expected column names in {sheet.at(first)}, got numbers; skip says "
+                "how many lines stand before the names"
+            )
+        names = above[-1]
+        way_out = f"skip = {names.number - 1} reads"
+        for row in [] if in_comments else rows[: rows.index(names)]:
             if len(row.cells) > 1 and _is_value(row.cells[0]):
                 raise UsageError(
-                    f"{self.label}, {self._at(row)}: expected no row of numbers above the names of "
-                    f"the columns, in {self._at(names)}; skip = {names.number - 1} reads the table "
-                    "that begins there"
+                    f"{self.label}, {sheet.at(row)}: expected no row of numbers above the names of "
+                    f"the columns, in {sheet.at(names)}; {way_out} the table that begins there"
                 )
         if len(above) > 1 and self._values_in(names):
             raise UsageError(
-                f"{self.label}, {self._at(names)}: expected names of columns or numbers, got both; "
-                f"skip = {names.number - 1} reads names there"
+                f"{self.label}, {sheet.at(names)}: expected names of columns or numbers, got both; "
+                f"{way_out} names there"
             )
-        is_below = len(above) > 1 and self._are_units(names, rows[above[-2]])
-        return rows[above[-2 if is_below else -1] :]
+        if len(above) > 1 and self._are_units(names, above[-2]):
+            names = above[-2]
+        return rows[rows.index(names) :]
 
-    def _from_comment(self, sheet: _Sheet, data: int) -> list[_Row]:
-        """Return names in a comment above the first row, as numpy writes them, and the rows."""
-        rows = sheet.rows
-        first = rows[data]
-        width = len(first.cells)
-        if data:
-            before = rows[data - 1]
-            raise UsageError(
-                f"{self.label}: expected {width} names of columns above {self._at(first)}, "
-                f"which has {width} cells, got {len(before.cells)} in {self._at(before)}"
-            )
-        above = [row for row in sheet.comments if row.number < first.number]
-        if not above or len(above[-1].cells) != width:
-            raise UsageError(
-                f"{self.label}: expected column names in {self._at(first)}, got numbers; skip says "
-                "how many lines stand before the names"
-            )
-        is_below = len(above) > 1 and self._are_units(above[-1], above[-2])
-        return [*above[-2 if is_below else -1 :], *rows]
-
-    def _values_in(self, row: _Row) -> list[int]:
+    def _values_in(self, row: CellRow) -> list[int]:
         """Return the columns of numbers that have one in a row."""
         cells = row.cells
         return [place for place in self._numeric if place < len(cells) and _is_value(cells[place])]
 
-    def _is_data(self, row: _Row) -> bool:
+    def _is_data(self, row: CellRow) -> bool:
         """Whether a row has numbers where the last rows have them, and no text before them."""
         values = self._values_in(row)
-        first = self._numeric[0] if self._numeric else 0
+        first = self._numeric[0]
         return bool(values) and (values[0] == first or row.cells[first].strip() in self._gaps)
 
-    def _are_units(self, row: _Row, above: _Row) -> bool:
+    def _are_units(self, row: CellRow, above: CellRow) -> bool:
         """Whether a row has the units of the names above it."""
         units = [unit.strip() for unit in row.cells]
         named = list(zip(above.cells, units, strict=False))
@@ -257,76 +334,22 @@ class TextTable(DataTable):
             units = [unit if _is_unit(unit) else unit.lower() for unit in units]
         return all(map(_is_unit, units)) and not any(Header.parse(unit, 0).times for unit in units)
 
-    def _check_widths(self, rows: Sequence[_Row], names: _Row) -> None:
-        """Refuse rows of another width than the names have."""
-        width = len(names.cells)
-        for row in rows:
-            found = len(row.cells)
-            if not found:
-                raise UsageError(
-                    f"{self.label}: {self._at(row)} cannot be split: text beside quotes, or a cell "
-                    "that spans several lines"
-                )
-            if found != width:
-                hint = "; quote a cell that contains the separator" if found > width else ""
-                raise UsageError(
-                    f"{self.label}, {self._at(row)}: expected {width} cells, got {found}{hint}"
-                )
-
-    def _likely_decimal(self, *, is_text: bool) -> str:
-        """Return the decimal sign: a comma where it is in numbers, and no point is.
-
-        Raises
-        ------
-        UsageError
-            If it may separate thousands.
-        """
-        if self._separator == ",":
-            return "."
-        commas: list[str] = []
-        for column in range(len(self._rows[0].cells)) if is_text and self._rows else self._numeric:
-            for number in self._stripped(column):
-                if "." in number and is_number(number):
-                    return "."
-                if "," in number and is_number(number.replace(",", ".", 1)):
-                    commas.append(number)
-        if commas and all(map(_THOUSANDS.fullmatch, commas)):
-            raise UsageError(
-                f"{self.label}: expected commas that are decimal signs or separate thousands, got "
-                'three digits behind each; decimal = "," reads them as decimal signs'
-            )
-        return "," if commas else "."
-
-    def _take_columns(self, names: _Row, units: _Row | None) -> None:
-        """Take the names and units of the columns, and what their first cells are."""
-        for position, text in enumerate(names.cells):
-            unit = units.cells[position].strip().strip("[]()").strip() if units is not None else ""
-            self.add_header(Header.parse(text, position), unit, "the row of units")
-            given = (cell for cell in self._stripped(position) if cell not in self._gaps)
-            first = next(given, "")
-            if is_number(first.replace(",", ".")):
-                self.numbers.add(position)
-            elif nanoseconds(first) is not None:
-                self.stamp_units[position] = "ns"
-        if self.headers and not self.headers[0].text:  # so pandas writes an index without a name
-            self.index = {0}
-
     # what is told
-
-    def _at(self, row: _Row) -> str:
-        return f"{self._unit} {row.number}"
 
     def place(self, row: int) -> str:
         """Return the line, or the row of the sheet."""
-        return self._at(self._rows[row])
+        return self._sheet.at(self._rows[row])
 
     def cell(self, row: int, position: int) -> str:
         """Return how messages name a cell, with the number of its column."""
         column = f"{position + 1} ({self.headers[position].text!r})"
         return f"{self.label}, {self.place(row)}, column {column}"
 
-    def _tell(self, sheet: _Sheet, form: TableForm, names: _Row, units: _Row | None) -> None:
+    def _tell(
+        self, form: TableForm, missing: Sequence[float | str], names: CellRow, units: CellRow | None
+    ) -> None:
         """Note what was found."""
+        sheet = self._sheet
         if sheet.separator is not None:
             name = _NAMES.get(sheet.separator, sheet.separator)
             is_found = any(len(row.cells) > 1 for row in sheet.rows)
@@ -339,58 +362,44 @@ class TextTable(DataTable):
         if sheet.comments:
             found = f"{len(sheet.comments)} {sheet.unit}s"
             self.tell("comments", found, f"begin with {form.comment or _COMMENT}", "comment")
-        self.tell("names", self._at(names), "above the first row of numbers", "skip", form.skip)
-        codes = ", ".join(["empty cells, NaN", *map(str, form.missing)])
-        self.tell("not measured", codes, "the default", "missing", form.missing or None)
+        self.tell("names", sheet.at(names), "above the first row of numbers", "skip", form.skip)
+        codes = ", ".join(["empty cells, NaN", *map(str, missing)])
+        self.tell("not measured", codes, "the default", "missing", missing or None)
         if sheet.rows and sheet.rows[0].number < names.number:
             found = f"{sheet.unit}s {sheet.rows[0].number} to {names.number - 1}"
             self.tell("left out", found, "above the names", "skip")
         if units is not None:
-            self.tell("units", self._at(units), "units below the names", "unit")
+            self.tell("units", sheet.at(units), "units below the names", "unit")
+        if sheet.source:
+            self.tell(*sheet.source)
 
     # cells
 
     def _stripped(self, position: int) -> Iterator[str]:
         return (row.cells[position].strip() for row in self._rows)
 
-    def texts(self, position: int) -> list[str]:
-        """Return the cells of a column, numbers with decimal points."""
-        cells = []
-        for cell in self._stripped(position):
-            point = cell.replace(",", ".") if self._decimal == "," else cell
-            cells.append(point if is_number(point) else cell)
-        return cells
+    def numbers_of(self, position: int) -> Sequence[Decimal | str]:
+        """Return the numbers of a column as Python writes them, or the ns of dates."""
+        read = self._number if self.headers[position].stamp_unit is None else self._stamp
+        return [read(row, position, cell) for row, cell in enumerate(self._stripped(position))]
 
-    def numbers_of(self, position: int) -> list[str]:
-        """Return the numbers of a column as Python writes them."""
-        cells = enumerate(self._stripped(position))
-        return [self._number(row, position, cell) for row, cell in cells]
+    def _stamp(self, row: int, position: int, cell: str) -> Decimal | str:
+        """Return a date or a duration in ns; "nan": there is none."""
+        stamp = "nan" if cell in self._gaps else nanoseconds(cell)
+        if stamp is None:
+            raise self._no_stamp(row, position, cell)
+        return stamp
 
-    def stamps_of(self, position: int) -> list[Decimal | str]:
-        """Return numbers, or the nanoseconds of dates and durations."""
-        stamps: list[Decimal | str] = []
-        is_of_dates = position in self.stamp_units
-        for row, cell in enumerate(self._stripped(position)):
-            stamp = nanoseconds(cell) if is_of_dates else None
-            if stamp is not None:
-                stamps.append(stamp)
-            elif _LIKE_A_DATE.fullmatch(cell):
-                raise UsageError(
-                    f"{self.cell(row, position)}: expected a date of the calendar in ISO 8601 "
-                    f"(YYYY-MM-DDThh:mm:ss), got {cell!r}; convert the column, such as by "
-                    "pandas.to_datetime"
-                )
-            elif is_of_dates and cell not in self._gaps:
-                raise UsageError(
-                    f"{self.cell(row, position)}: expected a date or duration as in the rows "
-                    "before, got other text"
-                )
-            else:
-                stamps.append(self._number(row, position, cell))
-        return stamps
+    def _no_stamp(self, row: int, position: int, cell: str) -> UsageError:
+        got = repr(cell) if _LIKE_A_DATE.fullmatch(cell) else "other text"
+        return UsageError(
+            f"{self.cell(row, position)}: expected a date of the calendar in ISO 8601 "
+            f"(YYYY-MM-DDThh:mm:ss), or a duration, got {got}; convert the column, such as by "
+            "pandas.to_datetime"
+        )
 
     def _number(self, row: int, position: int, cell: str) -> str:
-        """Return a number as Python writes it; "nan": nothing was measured."""
+        """Return a number as Python writes it; "nan": there is none."""
         if cell in self._gaps:
             return "nan"
         number = cell
@@ -398,12 +407,12 @@ class TextTable(DataTable):
             number = cell.replace(",", ".") if "." not in cell else ""
         if is_number(number):
             return number
+        if _LIKE_A_DATE.fullmatch(cell):
+            raise self._no_stamp(row, position, cell)
         way_out = ""
         if is_number(cell.replace(",", ".")):
             other = "," if self._decimal == "." else "."
             way_out = f'; the decimal separator is {self._decimal!r}, see decimal = "{other}"'
-            if self._separator == ",":
-                way_out += ', and separator = ","'
             if _THOUSANDS.fullmatch(cell):
                 way_out += ", unless commas separate thousands"
         raise UsageError(
@@ -414,12 +423,13 @@ class TextTable(DataTable):
 # --- text ---
 
 
-def text_table(path: Path, form: TableForm, *, is_text: bool) -> TextTable:
-    """Read a text; see :func:`cosim.scenario.data_files.tables.read_table`."""
+def text_sheet(path: Path, form: TableForm, *, spanning: bool) -> Sheet:
+    """Read the rows of a text.
+
+    With ``spanning`` a cell may span several lines, and an empty row counts.
+    """
     text, encoding = _decoded(path)
-    mark = form.comment
-    if mark is None:
-        mark = "" if form.separator == _COMMENT else _COMMENT
+    mark = _COMMENT if form.comment is None else form.comment
     kept: list[tuple[int, str]] = []
     comments: list[tuple[int, str]] = []
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
@@ -439,25 +449,21 @@ def text_table(path: Path, form: TableForm, *, is_text: bool) -> TextTable:
             "separator: expected one character other than the decimal separator "
             f"{decimal!r}, got {separator!r}"
         )
-    rows = list(_split(kept, separator, is_text=is_text))
-    if not is_text:  # of a row of separators nothing can be said but that it is empty
+    rows = list(_split(kept, separator, spanning=spanning))
+    if not spanning:  # of a row of separators nothing can be said but that it is empty
         rows = [row for row in rows if not row.cells or any(map(str.strip, row.cells))]
-    noted = list(_split(comments, separator, is_text=False))
-    table = TextTable(path, form, _Sheet(rows, noted, separator=separator), is_text=is_text)
-    if encoding != "utf-8":
-        table.tell("encoding", encoding.upper(), "by its first bytes", "")
-    return table
+    noted = list(_split(comments, separator, spanning=False))
+    found = ("encoding", encoding.upper(), "by its first bytes", "")
+    source = () if encoding == "utf-8" else found
+    return Sheet(f"file {str(path)!r}", rows, noted, source, separator=separator)
 
 
 def _decoded(path: Path) -> tuple[str, str]:
-    """Return a text and its encoding: UTF-8, or UTF-16 by its mark or its zeros."""
+    """Return a text and its encoding: UTF-8, or UTF-16 by its mark."""
     content = content_of(path)
     label = f"file {str(path)!r}: expected UTF-8 or UTF-16 text"
-    encoding = "utf-8"
-    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        encoding = "utf-16"
-    elif len(content) % 2 == 0 and content[:4].count(0) == 2:
-        encoding = {0: "utf-16-be", 1: "utf-16-le"}.get(content.index(0), encoding)
+    is_utf_16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    encoding = "utf-16" if is_utf_16 else "utf-8"
     try:
         text = content.decode(encoding).removeprefix("\ufeff")
     except UnicodeDecodeError as error:
@@ -482,8 +488,10 @@ def _likely_separator(lines: Sequence[str]) -> str:
     return next((name for name, agree in agreeing.items() if most and agree == most), ",")
 
 
-def _split(lines: Sequence[tuple[int, str]], separator: str, *, is_text: bool) -> Iterator[_Row]:
-    """Yield rows of cells, of which only texts may span several lines.
+def _split(
+    lines: Sequence[tuple[int, str]], separator: str, *, spanning: bool
+) -> Iterator[CellRow]:
+    """Yield rows of cells.
 
     Without cells: the row cannot be split, because of its quotes or a cell beyond all size.
     """
@@ -491,10 +499,14 @@ def _split(lines: Sequence[tuple[int, str]], separator: str, *, is_text: bool) -
     pending: list[str] = []
     begin = 0
     is_open = False
-    for number, line in lines:
+    for number, whole in lines:
+        line = whole.strip(" ") if is_blank else whole
+        if not pending and '"' not in line:  # in less time than by a reader of its own
+            yield CellRow(number, re.split(" +", line) if is_blank else line.split(separator))
+            continue
         begin = begin if pending else number
-        pending.append(f"{line.strip(' ') if is_blank else line}\n")
-        is_open ^= is_text and line.count('"') % 2 == 1
+        pending.append(f"{line}\n")
+        is_open ^= spanning and line.count('"') % 2 == 1
         if not is_open:
             reader = csv.reader(
                 pending, delimiter=separator, strict=True, skipinitialspace=is_blank
@@ -503,17 +515,17 @@ def _split(lines: Sequence[tuple[int, str]], separator: str, *, is_text: bool) -
                 cells = next(reader, [])
             except csv.Error:
                 cells = []
-            yield _Row(begin, cells)
+            yield CellRow(begin, cells)
             pending = []
     if pending:
-        yield _Row(begin, [])
+        yield CellRow(begin, [])
 
 
 # --- Excel ---
 
 
-def excel_table(path: Path, form: TableForm, *, is_text: bool) -> TextTable:
-    """Read the sheet of a workbook, by openpyxl."""
+def excel_sheet(path: Path, form: TableForm) -> Sheet:
+    """Read the sheet of a workbook, by openpyxl; all its rows are as wide as the widest."""
     label = f"file {str(path)!r}"
     try:
         import openpyxl
@@ -554,10 +566,25 @@ def excel_table(path: Path, form: TableForm, *, is_text: bool) -> TextTable:
         raise UsageError(
             f"{label}: expected one sheet with cells, got {listing(filled)}; select one by sheet"
         )
-    sheet = _sheet_of(sheets[filled[0]] if filled else [], form)
-    table = TextTable(path, form, sheet, is_text=is_text)
-    table.tell("sheet", ", ".join(filled), "the only one with cells", "sheet", form.sheet)
-    return table
+    rows, comments = _rows_of(sheets[filled[0]] if filled else [], form)
+    reason = "given" if form.sheet is not None else "the only one with cells"
+    return Sheet(label, rows, comments, ("sheet", ", ".join(filled), reason, "sheet"), "row")
+
+
+def _rows_of(
+    cells: Sequence[Sequence[str | None]], form: TableForm
+) -> tuple[list[CellRow], list[CellRow]]:
+    """Return rows, and those in which a comment stands alone, all as wide as the widest."""
+    width = max((place + 1 for row in cells for place, cell in enumerate(row) if cell), default=0)
+    mark = form.comment or _COMMENT
+    rows: list[CellRow] = []
+    comments: list[CellRow] = []
+    for number, row in enumerate(cells, start=1):
+        padded = [cell or "" for cell in row[:width]] + [""] * (width - len(row))
+        if number > (form.skip or 0) and any(row):
+            is_comment = padded[0].startswith(mark) and not any(padded[1:])
+            (comments if is_comment else rows).append(CellRow(number, padded))
+    return rows, comments
 
 
 def _cells_of(page: Any) -> list[list[str | None]]:
@@ -589,18 +616,3 @@ def _formula_in(book: Any, sheets: dict[str, list[list[str | None]]], skip: int)
                 if value is None and formula.data_type == "f":
                     return f"sheet {title!r}, cell {formula.coordinate}"
     return None
-
-
-def _sheet_of(cells: Sequence[Sequence[str | None]], form: TableForm) -> _Sheet:
-    """Return the rows of a sheet, all as wide as the widest; a comment stands alone in its row."""
-    width = max((place + 1 for row in cells for place, cell in enumerate(row) if cell), default=0)
-    mark = form.comment or _COMMENT
-    rows: list[_Row] = []
-    comments: list[_Row] = []
-    for number, row in enumerate(cells, start=1):
-        padded = [cell or "" for cell in row[:width]] + [""] * (width - len(row))
-        if number <= (form.skip or 0) or not any(row):
-            continue
-        is_comment = padded[0].startswith(mark) and not any(padded[1:])
-        (comments if is_comment else rows).append(_Row(number, padded))
-    return _Sheet(rows, comments, "row")

@@ -2,8 +2,8 @@
 
 An edit sets a value at a dotted key. ``components.NAME.PARAMETER`` always is a component's.
 ``NAME.PARAMETER`` is the same, unless NAME is that of a table of the file: then it is in that
-table. ``terms[0].theta`` is in the first entry of a list, ``A[0][1]`` in a row of a matrix.
-A swap is an edit, too: of the whole table of a component, before all others.
+table. ``terms[0].theta`` is in the first entry of a list, ``A[0][1]`` in a row of a matrix. A swap
+is an edit, too: of the whole table of a component, before all others.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ import numpy as np
 
 from cosim.arguments import path_argument
 from cosim.core.connections import ONE_SOURCE
+from cosim.documents import document, understood
 from cosim.errors import GraphError, ScenarioError, UsageError, command, nearest, option, quoted
 from cosim.files import file_type, read_bounded
-from cosim.log.contents.metadata import json_table
 from cosim.scenario.document.places import PORTS, Key, Problem, report, written
-from cosim.scenario.document.schema import RecordTable, Settings
+from cosim.scenario.document.schema import ACTIONS, COMPONENTS, RESERVED
 from cosim.scenario.document.swaps import (
     MAP,
     PortNames,
@@ -46,11 +46,8 @@ from cosim.scenario.document.swaps import (
 SUFFIX: Final = ".toml"
 LARGEST: Final = 2**26  # bytes of a scenario
 MOST_LEVELS: Final = 50  # of tables and lists inside each other
-ACTIONS: Final = "actions"  # a list of tables
-COMPONENTS: Final = "components"
 # what a dotted key may begin with, beside a component
 TABLES: Final = ("scenario", "models", *PORTS, ACTIONS, "record")
-_NOT_COMPONENTS: Final = (*TABLES, "swap", COMPONENTS)  # none that a short key could begin with
 _SET: Final = "(set)"  # first part of the key of a problem with an edit, which stands in no file
 _TOO_DEEP: Final = f"expected tables and lists nested at most {MOST_LEVELS} levels deep, got more"
 _CLOSING: Final = {"[": "]", "{": "}", "(": ")", "'": "'", '"': '"'}
@@ -79,7 +76,7 @@ def short(key: str) -> str:
     ``actions.0``, also where it was written ``actions[0]``.
     """
     first, dot, rest = key.partition(".")
-    if first == COMPONENTS and parts_of(rest.partition(".")[0])[0] not in _NOT_COMPONENTS:
+    if first == COMPONENTS and rest.partition(".")[0] not in RESERVED:
         return rest or key
     if first.startswith(f"{ACTIONS}["):
         first = ".".join(parts_of(first))
@@ -96,7 +93,7 @@ def component_in(key: str) -> str | None:
     first, _, rest = key.partition(".")
     if first == COMPONENTS and rest:
         return rest.partition(".")[0]
-    return None if first in _NOT_COMPONENTS else first
+    return None if first in RESERVED else first
 
 
 # --- values ---
@@ -262,11 +259,6 @@ def _parts_in(tree: Tables, key: str, value: Any) -> list[str]:
     component = component_in(key)
     first, *parts = key.removeprefix("" if component is None else f"{COMPONENTS}.").split(".")
     components = table_of(tree, COMPONENTS)
-    if component is None and first in components and not _is_in_table(tree, first, parts):
-        long = option("set", f"{COMPONENTS}.{key}")
-        raise UsageError(
-            f"{first!r} is a table of the scenario, and a component; of the component: {long}"
-        )
     if not parts and first != ACTIONS and (component is None or not isinstance(value, dict)):
         example = option("set", "observer.filter_rate", "500")
         raise UsageError(f"expected COMPONENT.PARAMETER, such as {example}, got no dot")
@@ -283,21 +275,6 @@ def _parts_in(tree: Tables, key: str, value: Any) -> list[str]:
         if parts[1:2] == ["set"] and len(parts) > 2:
             parts[2:] = [_setting(".".join(parts[2:]))]
     return [first, *parts]
-
-
-def _is_in_table(tree: Tables, name: str, parts: list[str]) -> bool:
-    """Return whether a table of the file may have a key, as far as its first part shows."""
-    part = parts_of(parts[0])[0] if parts else ""
-    match name:
-        case "scenario":
-            return part in Settings.model_fields
-        case "record":
-            return part in RecordTable.model_fields
-        case "models":
-            return part in table_of(tree, name)
-        case "actions":
-            return part.isdigit() or not parts
-    return name in PORTS and part in table_of(tree, COMPONENTS)
 
 
 def _setting(key: str) -> str:
@@ -353,6 +330,16 @@ def _flatten(tree: Tables) -> list[Problem]:
 
 
 # --- the text ---
+
+
+@document
+class _Edits:
+    """What a log has of the edits of its scenario."""
+
+    source: str
+    swaps: dict[str, str]
+    changes: dict[str, Any]
+    maps: dict[str, str | list[str]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -465,7 +452,7 @@ class Document:
 
     def unswapped(self) -> Document:
         """Return the document without the swaps and without what was set for them."""
-        swapped = self.swapped_components()
+        swapped = self.tables().replaced
         inputs = tuple(f"connections.{name}." for name in swapped)
         changes = {}
         for key, value in self.changes.items():
@@ -474,17 +461,13 @@ class Document:
         # a map without its swap would be a problem, which keeps the scenario from being initialized
         return replace(self, swaps={}, maps={}, changes=changes, swapped=False)
 
-    def swapped_components(self) -> list[str]:
-        """Return the names of the swapped components."""
-        return list(self.tables().replaced)
-
     def edits(self) -> str:
         """Return swaps, maps and changes as JSON, for the log."""
         edits = {"swaps": self.swaps, "maps": self.maps, "changes": self.changes}
         return json.dumps({"source": self.source and os.path.relpath(self.source), **edits})
 
     @staticmethod
-    def recorded(text: str, edits: str, folder: Path) -> Document:
+    def recorded(text: str, edits: str, folder: Path, what: str) -> Document:
         """Rebuild a document from a log.
 
         Parameters
@@ -493,33 +476,18 @@ class Document:
         edits : str
             As :meth:`edits` returned them.
         folder : Path
+        what : str
+            The document in words, for messages.
 
         Raises
         ------
-        ValueError
+        LogError
             If the edits are something else.
         """
-        recorded = {"maps": {}, **json_table(edits)}
-        for key, kind in (("source", str), ("swaps", dict), ("changes", dict), ("maps", dict)):
-            if not isinstance(recorded.get(key), kind):
-                raise ValueError(f"{key}: got {quoted(recorded.get(key))}")
-        swaps, maps = recorded["swaps"], recorded["maps"]
-        wrong = [(name, path) for name, path in swaps.items() if not isinstance(path, str)]
-        wrong += [(port, names) for port, names in maps.items() if not is_port_names(names)]
-        for key, value in wrong:
-            raise ValueError(f"{key!r}: expected a path, or port names, got {quoted(value)}")
-        return Document(text, recorded["source"], folder, swaps, maps, recorded["changes"])
-
-    def tree(self) -> tuple[Tables, list[Problem]]:
-        """Return the tables with swaps and changes applied, and the problems of these.
-
-        Raises
-        ------
-        ScenarioError
-            If the text is no TOML.
-        """
-        tables = self.tables()
-        return tables.tree, tables.problems
+        recorded = understood(_Edits, edits, what)
+        return Document(
+            text, recorded.source, folder, recorded.swaps, recorded.maps, recorded.changes
+        )
 
     def tables(self) -> EditedTables:
         """Return the tables with swaps and changes applied, and what was edited.

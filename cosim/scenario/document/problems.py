@@ -45,8 +45,23 @@ class TableProblems(UsageError):
     """
 
     def __init__(self, problems: Sequence[Problem]) -> None:
-        super().__init__("; ".join(f"{'.'.join(map(str, key))}: {text}" for key, text in problems))
+        lines = [": ".join(filter(None, (".".join(map(str, key)), text))) for key, text in problems]
+        super().__init__("; ".join(lines))
         self.problems = tuple(problems)
+
+
+def problems_in(error: Exception, place: Key) -> list[Problem]:
+    """Return what an error says of the table, or of the key, that stands at a place."""
+    if isinstance(error, TableProblems):
+        return [((*place, *key), text) for key, text in error.problems]
+    if isinstance(error, ArithmeticError | MemoryError):  # of numbers near the largest or smallest
+        return [(place, out_of_range(error))]
+    return [(place, str(error))]
+
+
+def out_of_range(error: Exception) -> str:
+    """Return in words that a number has left the range of numbers."""
+    return f"numeric overflow or underflow: {error}"
 
 
 class _Error(NamedTuple):
@@ -116,10 +131,9 @@ def _located(details: Mapping[str, Any], data: Any) -> _Error:
 def _likely(errors: Sequence[_Error], level: int = 0) -> list[_Error]:
     """Return the errors of the alternatives that values are nearest to.
 
-    An alternative that refuses a value as a whole is out, if another one refuses parts of it, or
-    accepts its type; of several, the one with the fewest errors is meant, or that which is wrong
-    behind the most elements. ``level`` counts the
-    choices inwards.
+    An alternative that refuses a value as a whole is out where another one accepts its type; of
+    several, the one with the fewest errors is meant, or that which is wrong behind the most
+    elements. ``level`` counts the choices inwards.
     """
     likely: list[_Error] = []
     chosen: dict[Key, dict[str | int, list[_Error]]] = {}
@@ -131,27 +145,19 @@ def _likely(errors: Sequence[_Error], level: int = 0) -> list[_Error]:
             likely.append(error)
     for at, alternatives in chosen.items():
         groups = [_likely(group, level + 1) for group in alternatives.values()]
-        exact = [group for group in groups if all(e.words is None for e in group)]
-        inside = [group for group in groups if any(_is_inside(e, at) for e in group)]
-        if exact or inside:
-            ranks = [(len(group), -_accepted(group, at), group not in exact) for group in groups]
-            fitting = [group in (inside or exact) for group in groups]
-            best = min(rank for rank, fits in zip(ranks, fitting, strict=True) if fits)
-            for group, rank, fits in zip(groups, ranks, fitting, strict=True):
-                likely += group if fits and rank == best else []
-        else:
-            likely += [error for group in groups for error in group]
+        ranks = [_distance(group, at) for group in groups]
+        for group, rank in zip(groups, ranks, strict=True):
+            likely += group if rank == min(ranks) else []
     return likely
 
 
-def _accepted(group: Sequence[_Error], at: Key) -> int:
-    """Return how many elements of a list an alternative accepts before the first that is wrong."""
+def _distance(group: Sequence[_Error], at: Key) -> tuple[bool, int, int]:
+    """Return how far a value is from an alternative that refuses it with these errors."""
     first = group[0].path[len(at) : len(at) + 1]
-    return first[0] if first and isinstance(first[0], int) else 0
-
-
-def _is_inside(error: _Error, at: Key) -> bool:
-    return error.path != at or error.details["type"] == "missing"
+    accepted = first[0] if first and isinstance(first[0], int) else 0  # elements of a list
+    if all(error.path == at and error.words is not None for error in group):
+        return True, 0, 0  # the value as a whole
+    return False, len(group), -accepted
 
 
 def _text(error: _Error, table: type[BaseModel], prefix: Key) -> str:

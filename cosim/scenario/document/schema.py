@@ -23,11 +23,11 @@ from pydantic import (
     model_validator,
 )
 
+from cosim.core.clock import Clock
 from cosim.core.recorded.partial import RecordSelection
 from cosim.errors import quoted
-from cosim.scenario.document.places import Problem
+from cosim.scenario.document.places import PORTS, Problem
 from cosim.scenario.document.problems import TableProblems
-from cosim.units import base_unit, unknown_unit
 
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 
@@ -47,6 +47,14 @@ Size = Annotated[Whole, Field(ge=1, le=100_000)]  # of a signal
 Flag = Annotated[bool, Field(strict=True)]
 NumberRow = tuple[Number, ...]
 NumberRows = tuple[NumberRow, ...]
+
+
+def _check_rows(rows: NumberRows) -> NumberRows:
+    matrix(rows)
+    return rows
+
+
+MatrixRows = Annotated[NumberRows, AfterValidator(_check_rows)]  # where nothing else may stand
 Limit = Annotated[float, Field(strict=True)]  # inf: there is none
 
 
@@ -93,19 +101,12 @@ Pole = Annotated[complex, PlainValidator(_pole)]
 PoleRow = tuple[Pole, ...]
 
 
-def _known_unit(name: str) -> str:
-    if base_unit(name) is None:
-        raise ValueError(unknown_unit(name))
-    return name
-
-
 def _any_unit(name: str) -> str:
     if not name.strip():
         raise ValueError(f"expected a unit, such as mm, or none, got {name!r}")
     return name
 
 
-UnitName = Annotated[str, AfterValidator(_known_unit)]
 AnyUnit = Annotated[str, AfterValidator(_any_unit)]  # also one that is not known
 
 MOST_NAME_BYTES = 100  # in UTF-8: file names with it have at most 255
@@ -133,6 +134,11 @@ def _check_name(name: str) -> str:
 
 
 Name = Annotated[str, AfterValidator(_check_name)]
+
+ACTIONS: Final = "actions"  # a list of tables
+COMPONENTS: Final = "components"
+# what a short key of an edit begins with is one of these tables, or else a component
+RESERVED: Final = ("scenario", "models", *PORTS, ACTIONS, "record", "swap", COMPONENTS)
 
 
 class TomlTable(BaseModel):
@@ -208,6 +214,17 @@ class Settings(TomlTable):
     )
     description: str = Field("", description="one line of text for 'cosim list' and reports")
 
+    @property
+    def clock(self) -> Clock:
+        """The clock of the run, with blocks of any size.
+
+        Raises
+        ------
+        ClockError
+            If one of its times is off the grid.
+        """
+        return Clock(self.stop, self.step, start_time=self.start_time)
+
 
 class ModelTable(TomlTable):
     """A table of [models], in one of two forms.
@@ -218,15 +235,15 @@ class ModelTable(TomlTable):
     n_a: Whole | None = Field(
         None, ge=1, description="number of dynamic states of a partitioned model A, Bu, Bd, C"
     )
-    E: NumberRows | None = Field(None, description="square matrix of E x'; default: identity")
-    A: NumberRows | None = Field(None, description="square matrix; required without file")
-    B: NumberRows | None = Field(None, description="one column per input; or give Bu and Bd")
-    Bu: NumberRows | None = Field(None, description="columns of the known inputs u")
-    Bd: NumberRows | None = Field(None, description="columns of the disturbances delta")
-    C: NumberRows | None = Field(None, description="one row per output; required without file")
-    D: NumberRows | None = Field(None, description="direct feedthrough, columns as B; default: 0")
-    Du: NumberRows | None = Field(None, description="direct feedthrough, columns as Bu; default: 0")
-    Dd: NumberRows | None = Field(None, description="direct feedthrough, columns as Bd; default: 0")
+    E: MatrixRows | None = Field(None, description="square matrix of E x'; default: identity")
+    A: MatrixRows | None = Field(None, description="square matrix; required without file")
+    B: MatrixRows | None = Field(None, description="one column per input; or give Bu and Bd")
+    Bu: MatrixRows | None = Field(None, description="columns of the known inputs u")
+    Bd: MatrixRows | None = Field(None, description="columns of the disturbances delta")
+    C: MatrixRows | None = Field(None, description="one row per output; required without file")
+    D: MatrixRows | None = Field(None, description="direct feedthrough, columns as B; default: 0")
+    Du: MatrixRows | None = Field(None, description="direct feedthrough, columns as Bu; default: 0")
+    Dd: MatrixRows | None = Field(None, description="direct feedthrough, columns as Bd; default: 0")
     disturbances: tuple[Whole, ...] | None = Field(
         None, description="indices of the columns of B that are unknown, from 0; default: none"
     )
@@ -404,7 +421,7 @@ class File(TomlTable):
     study: dict[str, Any] = {}  # of many runs of the scenario; validated where these are planned
 
 
-def matrix(rows: NumberRows, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+def matrix(rows: NumberRows, name: str = "") -> np.ndarray[Any, np.dtype[np.float64]]:
     """Convert rows to a matrix.
 
     Raises
@@ -414,8 +431,15 @@ def matrix(rows: NumberRows, name: str) -> np.ndarray[Any, np.dtype[np.float64]]
     """
     lengths = [len(row) for row in rows]
     if not rows or len(set(lengths)) != 1 or lengths[0] == 0:
+        where = f"{name}: " if name else ""
         raise ValueError(
-            f"{name}: expected rows of equal length, such as [[0, 1], [2, 3]], got lengths "
-            f"{lengths}"
+            f"{where}expected rows of equal length, such as [[0, 1], [2, 3]], got lengths {lengths}"
         )
     return np.array(rows, dtype=np.float64)
+
+
+def array_of(rows: NumberRow | NumberRows, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Convert a row to a vector, or rows to a matrix; ValueError as of :func:`matrix`."""
+    if rows and isinstance(rows[0], tuple):
+        return matrix(tuple(row for row in rows if isinstance(row, tuple)), name)
+    return np.array(rows, np.float64)

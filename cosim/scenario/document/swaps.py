@@ -18,7 +18,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -35,25 +35,10 @@ if TYPE_CHECKING:
 
 Tables: TypeAlias = dict[str, Any]
 PortNames: TypeAlias = str | Sequence[str]  # ports of the new component; or as text: "[s1, s2]"
+Map: TypeAlias = "dict[Key, Renaming]"  # of one component, by where an entry stands
 
 SAMPLES = "#samples"  # behind the path of an MCAP of another tool
 MAP = "(map)"  # first part of the key of a problem with a map from outside
-
-
-@dataclass(frozen=True, slots=True)
-class MapEntry:
-    """An entry of a map.
-
-    Parameters
-    ----------
-    key : Key
-        Where it stands.
-    renaming : Renaming
-        The port of the swapped component, and what it is in the new one.
-    """
-
-    key: Key
-    renaming: Renaming
 
 
 # --- tables ---
@@ -113,23 +98,23 @@ def component_table(name: str, path: str) -> Tables:
     UsageError
         If the path ends in something else.
     """
-    marked = re.fullmatch(r"(?i)(.*\.fmu)#(.*)|(.*\.mcap)" + SAMPLES, path)
-    fmu, interface_type, samples = marked.groups() if marked else (None, None, None)
-    if samples is not None:
-        return {"kind": "field-data", "path": samples}
-    match file_type(fmu or path), interface_type:
-        case "FMU", None:
-            return {"kind": "fmu", "path": path}
+    file, _, mark = path.rpartition("#")
+    match file_type(file), mark:
         case "FMU", "me" | "cs":
-            return {"kind": "fmu", "path": fmu, "interface_type": interface_type}
+            return {"kind": "fmu", "path": file, "interface_type": mark}
         case "FMU", _:
             raise UsageError(
                 "expected '#me' (model exchange) or '#cs' (co-simulation) after the path, got "
-                f"'#{interface_type}'"
+                f"'#{mark}'"
             )
-        case "log", _:
+        case "log", "samples":
+            return {"kind": "field-data", "path": file}
+    match file_type(path):
+        case "FMU":
+            return {"kind": "fmu", "path": path}
+        case "log":
             return {"kind": "recording", "log": path, "component": name}
-        case "table", _:
+        case "table":
             return {"kind": "field-data", "path": path}
     raise UsageError(
         "expected a path that ends in .fmu (an FMU), .mcap (a recorded log), or .csv, .txt, "
@@ -182,7 +167,7 @@ def port_names(names: PortNames) -> list[str]:
 
 def resolve_maps(
     tree: Mapping[str, Any], maps: Mapping[str, PortNames]
-) -> tuple[dict[str, list[MapEntry]], list[Problem]]:
+) -> tuple[dict[str, Map], list[Problem]]:
     """Return what the maps of all swaps say, by component, and the problems of their entries.
 
     Parameters
@@ -206,24 +191,25 @@ def resolve_maps(
                 given.append((("swap", name, "map", text), names, [name]))
     given += [((MAP, text), names, swapped) for text, names in maps.items()]
     ports = WrittenPorts(tree)
-    entries: dict[str, dict[Port, MapEntry]] = {name: {} for name in swapped}
+    resolved: dict[str, Map] = {name: {} for name in swapped}
+    first_keys: dict[Port, Key] = {}
     problems: list[Problem] = []
     for key, names, owners in given:
         try:
             port = ports.meant(str(key[-1]), owners)
-            sources = _sources(port.component, names)
-            entry = MapEntry(key, Renaming(port, sources, ports.causality(port)))
+            renaming = Renaming(port, _sources(port.component, names), ports.causality(port))
         except GraphError as error:
             problems.append((key, str(error)))
             continue
-        first = entries[port.component].setdefault(port, entry)
-        if first.renaming != entry.renaming:
+        first_key = first_keys.setdefault(port, key)
+        first = resolved[port.component].setdefault(first_key, renaming)
+        if first != renaming:
             uses = []
-            for other in (first, entry):
-                listed = ", ".join(repr(source.name) for source in other.renaming.sources)
-                uses.append(f"as {listed} for '{other.key[-1]}'")
+            for place, other in ((first_key, first), (key, renaming)):
+                listed = ", ".join(repr(source.name) for source in other.sources)
+                uses.append(f"as {listed} for '{place[-1]}'")
             problems.append((key, f"'{port}' is given twice, {' and '.join(uses)}; remove one"))
-    return {name: list(by_port.values()) for name, by_port in entries.items()}, problems
+    return resolved, problems
 
 
 def _sources(component: str, names: PortNames) -> tuple[Port, ...]:
@@ -248,7 +234,7 @@ def is_map_key(key: Key) -> bool:
 
 
 def unknown_ports(
-    tree: Mapping[str, Any], entries: Iterable[MapEntry], replaced: Interface
+    tree: Mapping[str, Any], name: str, own: Map, replaced: Interface
 ) -> list[Problem]:
     """Return the problems of entries for ports that nothing knows.
 
@@ -256,23 +242,24 @@ def unknown_ports(
     ----------
     tree : mapping
         Tables of a scenario, swaps applied.
-    entries : iterable of MapEntry
-        Of the map of one component.
+    name : str
+        Of a component.
+    own : Map
+        Of it.
     replaced : Interface
         Of the component that is replaced.
     """
-    ports = WrittenPorts(tree)
+    known = dict.fromkeys(WrittenPorts(tree).of(name))
+    known |= dict.fromkeys(f"{name}.{signal.name}" for signal in replaced.signals)
     problems: list[Problem] = []
-    for entry in entries:
-        port = entry.renaming.port
-        own = [f"{port.component}.{signal.name}" for signal in replaced.signals]
-        known = dict.fromkeys([*ports.of(port.component), *own])
+    for key, renaming in own.items():
+        port = renaming.port
         if known.keys().isdisjoint({str(port), str(port.whole)}):
             text = (
                 f"unknown port '{port}': neither connected nor a port of the replaced component; "
                 f"{nearest(str(port), known)}"
             )
-            problems.append((entry.key, text))
+            problems.append((key, text))
     return problems
 
 
@@ -286,21 +273,25 @@ class WrittenPorts:
     """
 
     def __init__(self, tree: Mapping[str, Any]) -> None:
-        self._sources: dict[Port, list[Port]] = {}  # by input
+        self._driving: dict[Port, list[Port]] = {}  # by input, that of an element by the whole, too
+        self._outputs: list[Port] = []
+        self._compared: list[Port] = []
         for to, connection in table_of(tree, "connections").items():
             source = connection.get("from") if isinstance(connection, dict) else connection
+            sources = ports_in(source if isinstance(source, list) else [source])
+            self._outputs += sources
             for port in ports_in([to]):
-                self._sources[port] = ports_in(source if isinstance(source, list) else [source])
-        self._outputs = list(chain.from_iterable(self._sources.values()))
-        self._compared: list[Port] = []
+                for end in {port, port.whole}:
+                    self._driving.setdefault(end, []).extend(sources)
         for estimate, true in table_of(tree, "truth").items():
             self._compared += ports_in([estimate, *named_ports(true)])
+        self._whole_outputs = {output.whole for output in self._outputs}
 
     def of(self, component: str) -> list[str]:
         """Return the ports that a map of a component may name: its own, and those it drives."""
-        ports = [*self._sources, *self._outputs, *self._compared]
+        ports = [*self._driving, *self._outputs, *self._compared]
         ports = [port for port in ports if port.component == component]
-        for to, sources in self._sources.items():
+        for to, sources in self._driving.items():
             if any(source.component == component for source in sources):
                 ports.append(to)
         names = chain.from_iterable((str(port), str(port.whole)) for port in ports)
@@ -315,46 +306,36 @@ class WrittenPorts:
             If it is a port of another component that none of them drives, or that one drives by
             several. Whether there is a port of a swapped one, :func:`unknown_ports` tells.
         """
-        meant: list[Port] = []
-        for port in ports_in([written]):
+        parsed = ports_in([written])
+        for port in parsed:
             if port.component in swapped:
                 return port
-            meant = [source for source in self._driving(port) if source.component in swapped]
-        if not meant:
-            raise GraphError(self._unknown(written, swapped))
-        own = dict.fromkeys(port for port in meant if port.component == meant[0].component)
-        if len(own) > 1:
-            names = ", ".join(map(str, own))
-            raise GraphError(f"{written!r} is driven by several ports; name one of them: {names}")
-        return meant[0]
-
-    def _driving(self, to: Port) -> list[Port]:
-        """Return what is written to drive an input: as a whole, or else by its elements."""
-        if to in self._sources:
-            return self._sources[to]
-        parts = [sources for part, sources in self._sources.items() if part.whole == to]
-        return list(chain.from_iterable(parts))
-
-    def causality(self, port: Port) -> Causality | None:
-        """Return what a port must be where the scenario connects it; None: anything."""
-        if port in self._sources or port.whole in {to.whole for to in self._sources}:
-            return "input"
-        return "output" if port.whole in {output.whole for output in self._outputs} else None
-
-    def _unknown(self, written: str, swapped: Sequence[str]) -> str:
-        """Return why an entry is for no port of the swapped components."""
+            meant = [one for one in self._driving.get(port, ()) if one.component in swapped]
+            own = dict.fromkeys(one for one in meant if one.component == meant[0].component)
+            if len(own) > 1:
+                names = ", ".join(map(str, own))
+                raise GraphError(
+                    f"{written!r} is driven by several ports; name one of them: {names}"
+                )
+            if own:
+                return meant[0]
         if not swapped:
-            return (
+            raise GraphError(
                 "a map requires a swapped component: "
                 f"{option('swap', 'COMPONENT', 'PATH')}, or [swap]"
             )
+        problem = "expected COMPONENT.PORT, got no dot"
+        if parsed:
+            owners = " or ".join(map(repr, swapped))
+            problem = f"{written!r} neither belongs to {owners} nor is driven by it"
         known = list(chain.from_iterable(map(self.of, swapped)))
-        if not ports_in([written]):
-            return f"expected COMPONENT.PORT, got no dot; {nearest(written, known)}"
-        return (
-            f"{written!r} neither belongs to {' or '.join(map(repr, swapped))} nor is driven by "
-            f"it; {nearest(written, known)}"
-        )
+        raise GraphError(f"{problem}; {nearest(written, known)}")
+
+    def causality(self, port: Port) -> Causality | None:
+        """Return what a port must be where the scenario connects it; None: anything."""
+        if port.whole in self._driving:
+            return "input"
+        return "output" if port.whole in self._whole_outputs else None
 
 
 def ports_in(values: Iterable[Any]) -> list[Port]:
@@ -371,10 +352,8 @@ def ports_in(values: Iterable[Any]) -> list[Port]:
 
 
 def record_inputs(
-    entries: Iterable[MapEntry],
-    connections: dict[Port, Connection],
-    written: Mapping[Port, Connection],
-) -> tuple[list[MapEntry], dict[Port, str], list[Problem]]:
+    own: Map, connections: dict[Port, Connection], written: Mapping[Port, Connection]
+) -> tuple[Map, dict[Port, str], list[Problem]]:
     """Make outputs of the recorded inputs in the map of a component that follows no inputs.
 
     ``plant.u`` of samples from the field is what the plant was driven with. An observer that takes
@@ -384,7 +363,8 @@ def record_inputs(
 
     Parameters
     ----------
-    entries : iterable of MapEntry
+    own : Map
+        Of the component.
     connections : dict of Port to Connection
         Without those to such components; changed here.
     written : mapping of Port to Connection
@@ -392,24 +372,25 @@ def record_inputs(
 
     Returns
     -------
-    list of MapEntry
-        Without those whose values nobody else can take.
+    Map
+        Without the entries whose values nobody else can take.
     dict of Port to str
         What follows of each such input, in words.
     list of Problem
         Of the entries that are left out.
     """
-    kept: list[MapEntry] = []
+    kept: Map = {}
     texts: dict[Port, str] = {}
     problems: list[Problem] = []
-    for entry in entries:
-        if entry.renaming.causality != "input":
-            kept.append(entry)
+    for key, renaming in own.items():
+        port = renaming.port
+        if renaming.causality != "input":
+            kept[key] = renaming
             continue
         try:
-            replaced = _replaced(entry.renaming, written)
+            replaced = _replaced(renaming, written)
         except GraphError as error:
-            problems.append((entry.key, str(error)))
+            problems.append((key, str(error)))
             continue
         followers = []
         for to, connection in connections.items():
@@ -422,9 +403,8 @@ def record_inputs(
         text = f"; nothing else takes {drivers}"
         if followers:
             text = f": {', '.join(followers)} {takes} it in the place of {drivers}"
-        port = entry.renaming.port
         texts[port] = f"'{port}' is recorded{text}"
-        kept.append(replace(entry, renaming=replace(entry.renaming, causality="output")))
+        kept[key] = replace(renaming, causality="output")
     return kept, texts, problems
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import product
@@ -15,12 +15,12 @@ import numpy as np
 from cosim.arguments import mapping_argument, truth_argument
 from cosim.arrays import Vector
 from cosim.errors import AssumptionError, CosimError, UsageError
-from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.document import plain, short
-from cosim.scenario.experiment_design.trial import DesignSubject, Trial, subject_of, trial_of
+from cosim.scenario.experiment_design.trial import DesignSubject, Trial
+from cosim.scenario.kinds.base import Scenario
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.identified_plant import OUTPUT_ERROR
-from cosim.scenario.kinds.reconstruction import DEFAULT_ORDER, FILTERS
+from cosim.scenario.kinds.observer_design import DEFAULT_ORDER, FILTERS
 from cosim.scenario.running.execution import load
 from cosim.theory.experiment_design.delay_search import search_delays
 from cosim.theory.experiment_design.predictions import PredictedEstimate, RegressionExperiment
@@ -50,8 +50,15 @@ _UNDETERMINED: Final = "no estimate: the data do not determine theta"
 _MODEL_ERROR: Final = 1e-3  # of y, above which a model is not that of the plant
 
 
+class _DesignRow:
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        content: dict[str, Any] = plain(vars(self))
+        return content
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
-class RankedDesign:
+class RankedDesign(_DesignRow):
     """A choice, and the error of theta that is to be expected with it.
 
     Parameters
@@ -78,14 +85,9 @@ class RankedDesign:
     error: Vector
     ratio: float
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        content: dict[str, Any] = plain(vars(self))
-        return content
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class OmittedDesigns:
+class OmittedDesigns(_DesignRow):
     """Choices that have no error to be expected, all for one reason.
 
     Parameters
@@ -103,11 +105,6 @@ class OmittedDesigns:
     method: str
     settings: tuple[Mapping[str, Any], ...]
     reason: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        content: dict[str, Any] = plain(vars(self))
-        return content
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -150,11 +147,11 @@ class ExperimentDesign:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        content = {**vars(self), "designs": [], "omitted": []}
+        content = dict(vars(self))
+        for name in ("designs", "omitted"):
+            content[name] = [row.to_dict() for row in content[name]]
         renamed = {"noise_source": "noise"}
-        values = {renamed.get(name, name): plain(value) for name, value in content.items()}
-        designs = [design.to_dict() for design in self.designs]
-        return {**values, "designs": designs, "omitted": [one.to_dict() for one in self.omitted]}
+        return {renamed.get(name, name): plain(value) for name, value in content.items()}
 
 
 def design(
@@ -195,13 +192,22 @@ def design(
     input = truth_argument("input", input)
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
     edited = loaded.edit(set=mapping_argument("set", set))
-    subject = subject_of(edited, noise=noise, theta=theta)
-    trial = trial_of(subject, {})
+    subject = DesignSubject(edited, noise=noise, theta=theta)
+    trial = subject.trial()
     if longest is None:
         longest = max(_LONGEST * trial.span, *trial.delays)
     if not trial.step <= longest < math.inf:
         raise UsageError(f"longest: expected at least one communication step, got {longest:g} s")
     return _Ranking(subject, trial, longest).design(with_input=input)
+
+
+@dataclass(frozen=True, eq=False)
+class _Prediction:
+    """What a choice lets expect: its ratio is infinite where there is no estimate, and why."""
+
+    estimate: PredictedEstimate
+    ratio: float
+    reason: str
 
 
 class _Ranking:
@@ -240,14 +246,13 @@ class _Ranking:
             )
         self._designs: list[RankedDesign] = []
         self._omissions: dict[tuple[str, str, str], list[_Settings]] = {}
-        self._predicted = cache(self._prediction)
+        self._on_regression = cache(self._predicted_on_regression)
 
     def design(self, *, with_input: bool) -> ExperimentDesign:
         """Return the designs of every choice."""
         trial = self._trial
         filters = list(self._filters())
-        self._add_output_error("scenario", trial)
-        self._add_methods("scenario", trial.regression, trial.steps)
+        self._add_all("scenario", trial)
         known = {method: [trial.steps] for method in REGRESSION_METHODS}
         for method in REGRESSION_METHODS:
             steps = self._best_delays(trial, method, [trial.steps])
@@ -255,30 +260,29 @@ class _Ranking:
                 known[method].append(steps)
                 self._add_delays("delays", trial, steps, method)
         for variant in filters:
-            self._add_methods("filter", variant.regression, variant.steps, variant.settings)
+            self._add_methods("filter", variant.settings, variant.regression, variant.steps)
         for variant in self._steps():
-            self._add_output_error("step", variant)
-            self._add_methods("step", variant.regression, variant.steps, variant.settings)
+            self._add_all("step", variant)
         for part in _WINDOWS:
             self._add_output_error("window", trial, round(part * trial.span, 9))
         for method in REGRESSION_METHODS:
             best, steps = self._together(method, [trial, *filters], known[method])
-            self._add_delays("together", best, steps, method, best.settings)
+            self._add_delays("together", best, steps, method)
         for factor in _INPUTS if with_input and trial.data.u.size else ():
-            settings = {"input": f"{factor:g} u"}
-            self._add_methods("input", trial.with_input(factor), trial.steps, settings)
-        self._designs.sort(key=_place)
-        omitted = []
-        for (choice, by, reason), settings_of in self._omissions.items():
-            omitted.append(
-                OmittedDesigns(choice=choice, method=by, settings=tuple(settings_of), reason=reason)
+            self._add_methods(
+                "input", {"input": f"{factor:g} u"}, trial.with_input(factor), trial.steps
             )
+        self._designs.sort(key=_place)
+        omitted = [
+            OmittedDesigns(choice=choice, method=by, settings=tuple(settings), reason=reason)
+            for (choice, by, reason), settings in self._omissions.items()
+        ]
         return ExperimentDesign(
             scenario=self._subject.scenario.name,
             identifier=self._subject.identifier,
             theta=trial.regression.theta,
             deviations=np.sqrt(np.diag(trial.covariance)),
-            noise_source=self._subject.noise_source,
+            noise_source=trial.noise_source,
             bound=self._bound,
             designs=tuple(self._designs),
             omitted=tuple(omitted),
@@ -297,11 +301,9 @@ class _Ranking:
             for filter_name in ("first-order", "consistent"):
                 variants.append({"filter": filter_name, "filter_rate": float(f"{rate:.3g}")})
             rate /= math.sqrt(10.0)
-        self._omit(
-            "filter",
-            {f"{name}.filter_rate": float(f"{rate:.3g}")},
-            f"not tried, nor slower ones: the run is shorter than {_SLOWEST:g} time constants",
-        )
+        slowest = {f"{name}.filter_rate": float(f"{rate:.3g}")}
+        reason = f"the run is shorter than {_SLOWEST:g} time constants"
+        self._omit("filter", slowest, f"not tried, nor slower ones: {reason}")
         for samples in _HALF_WIDTHS:
             width = round(samples * trial.step, 9)
             if samples * trial.step <= _WIDEST * trial.span:
@@ -322,17 +324,15 @@ class _Ranking:
             h = float(f"{factor * self._trial.step:.12g}")
             settings = {"scenario.step": h}
             if _FEWEST_SAMPLES <= self._trial.span / h <= _MOST_SAMPLES:
-                yield from self._tried("step", settings)
+                yield from self._tried("step", settings, settings)
             else:
                 samples = f"{_FEWEST_SAMPLES} to {_MOST_SAMPLES}"
                 self._omit("step", settings, f"not tried: expected {samples} steps in the run")
 
-    def _tried(
-        self, choice: str, settings: _Settings, edits: _Settings | None = None
-    ) -> Iterator[Trial]:
+    def _tried(self, choice: str, settings: _Settings, edits: _Settings) -> Iterator[Trial]:
         """Yield a variant; none where the scenario refuses it."""
         try:
-            yield trial_of(self._subject, settings, edits)
+            yield self._subject.trial(settings, edits)
         except CosimError as error:
             reason = "; ".join(line.strip() for line in str(error).splitlines())
             self._omit(choice, settings, reason)
@@ -342,21 +342,21 @@ class _Ranking:
     ) -> tuple[Trial, _Steps]:
         """Choose a filter, delays for it, and a filter for these."""
 
-        def error(pair: tuple[Trial, _Steps]) -> float:
-            return self._error_of(pair[0].regression, pair[1], method)
+        def ratio(pair: tuple[Trial, _Steps]) -> float:
+            return self._on_regression(pair[0].regression, pair[1], method).ratio
 
-        best, _ = min(product(variants, known), key=error)
+        best, _ = min(product(variants, known), key=ratio)
         other = self._best_delays(best, method, known)
         if other is not None:
             known.append(other)
-        return min(product(variants, known), key=error)
+        return min(product(variants, known), key=ratio)
 
     def _best_delays(
         self, trial: Trial, method: RegressionMethod, starts: Sequence[_Steps]
     ) -> _Steps | None:
         try:
             search = search_delays(
-                lambda steps: self._error_of(trial.regression, steps, method),
+                lambda steps: self._on_regression(trial.regression, steps, method).ratio,
                 count=trial.regression.delays_needed,
                 longest=math.floor(self._longest / trial.step + 1e-9),
                 starts=starts,
@@ -368,53 +368,46 @@ class _Ranking:
 
     # --- what is to be expected of them ---
 
-    def _prediction(
+    def _predicted(self, predict: Callable[[], PredictedEstimate]) -> _Prediction:
+        """Return what is to be found, or why nothing is."""
+        reason = _UNDETERMINED
+        try:
+            estimate = predict()
+        except AssumptionError as error:
+            reason = str(error)
+            count = len(self._bound)
+            estimate = PredictedEstimate(np.full(count, np.inf), np.zeros((count, count)))
+        is_known = np.isfinite(self._bound)
+        ratio = float(np.max(estimate.error[is_known] / self._bound[is_known]))
+        return _Prediction(estimate, ratio if math.isfinite(ratio) else math.inf, reason)
+
+    def _predicted_on_regression(
         self, regression: RegressionExperiment, steps: _Steps, method: RegressionMethod
-    ) -> PredictedEstimate | str:
-        """Return what a method is to find, or why it finds nothing."""
+    ) -> _Prediction:
+        """Return what a method is to find."""
         identifier = self._subject.scenario.specs[self._subject.identifier]
         assert isinstance(identifier, IdentifierKind)
-        try:
-            if method == "rayleigh":
-                return regression.rayleigh(steps)
-            return regression.least_squares(steps, P0=identifier.P0)
-        except AssumptionError as error:
-            return str(error)
+        if method == "rayleigh":
+            return self._predicted(lambda: regression.rayleigh(steps))
+        return self._predicted(lambda: regression.least_squares(steps, P0=identifier.P0))
 
-    def _ratio(self, error: Vector) -> float:
-        is_known = np.isfinite(self._bound)
-        return float(np.max(error[is_known] / self._bound[is_known]))
-
-    def _error_of(
-        self, regression: RegressionExperiment, steps: _Steps, method: RegressionMethod
-    ) -> float:
-        predicted = self._predicted(regression, steps, method)
-        ratio = math.inf if isinstance(predicted, str) else self._ratio(predicted.error)
-        return ratio if math.isfinite(ratio) else math.inf
-
-    def _add(
-        self, choice: str, settings: _Settings, method: str, predicted: PredictedEstimate | str
-    ) -> None:
+    def _add(self, choice: str, settings: _Settings, method: str, predicted: _Prediction) -> None:
         """Keep a design if it has an error to be expected; that of the scenario in any case."""
-        reason = _UNDETERMINED
-        if isinstance(predicted, str):
-            reason = predicted
-            count = len(self._bound)
-            predicted = PredictedEstimate(np.full(count, np.inf), np.zeros((count, count)))
-        ratio = self._ratio(predicted.error)
-        if not math.isfinite(ratio):
-            self._omit(choice, settings, reason, method)
-        if math.isfinite(ratio) or choice == "scenario":
-            ranked = RankedDesign(
-                choice=choice,
-                settings=settings,
-                method=method,
-                bias=predicted.bias,
-                standard_error=predicted.standard_error,
-                error=predicted.error,
-                ratio=ratio,
-            )
-            self._designs.append(ranked)
+        if predicted.ratio == math.inf:
+            self._omit(choice, settings, predicted.reason, method)
+            if choice != "scenario":
+                return
+        estimate = predicted.estimate
+        ranked = RankedDesign(
+            choice=choice,
+            settings=settings,
+            method=method,
+            bias=estimate.bias,
+            standard_error=estimate.standard_error,
+            error=estimate.error,
+            ratio=predicted.ratio,
+        )
+        self._designs.append(ranked)
 
     def _omit(self, choice: str, settings: _Settings, reason: str, method: str = "") -> None:
         """Keep what a choice sets and why it has no error to be expected."""
@@ -422,40 +415,34 @@ class _Ranking:
         if settings not in same:
             same.append(settings)
 
+    def _add_all(self, choice: str, trial: Trial) -> None:
+        self._add_output_error(choice, trial)
+        self._add_methods(choice, trial.settings, trial.regression, trial.steps)
+
     def _add_methods(
-        self,
-        choice: str,
-        regression: RegressionExperiment,
-        steps: _Steps,
-        settings: _Settings | None = None,
+        self, choice: str, settings: _Settings, regression: RegressionExperiment, steps: _Steps
     ) -> None:
         for method in REGRESSION_METHODS:
-            self._add(choice, settings or {}, method, self._predicted(regression, steps, method))
+            self._add(choice, settings, method, self._on_regression(regression, steps, method))
 
     def _add_delays(
-        self,
-        choice: str,
-        trial: Trial,
-        steps: _Steps,
-        method: RegressionMethod,
-        settings: _Settings | None = None,
+        self, choice: str, trial: Trial, steps: _Steps, method: RegressionMethod
     ) -> None:
         delays = [round(count * trial.step, 9) for count in steps]
-        chosen = {**(settings or {}), f"{self._subject.regressor}.delays": delays}
-        self._add(choice, chosen, method, self._predicted(trial.regression, steps, method))
+        settings = {**trial.settings, f"{self._subject.regressor}.delays": delays}
+        self._add(choice, settings, method, self._on_regression(trial.regression, steps, method))
 
     def _add_output_error(self, choice: str, trial: Trial, window: float = math.inf) -> None:
         """Add output error, which reaches the bound, from the last seconds of y."""
+
+        def predict() -> PredictedEstimate:
+            covariance = trial.bound(window).covariance
+            return PredictedEstimate(np.zeros(len(covariance)), covariance)
+
         settings = dict(trial.settings)
         if math.isfinite(window):
             settings[f"{self._subject.identifier}.window"] = window
-        predicted: PredictedEstimate | str
-        try:
-            covariance = trial.bound(window).covariance
-            predicted = PredictedEstimate(np.zeros(len(covariance)), covariance)
-        except AssumptionError as error:
-            predicted = str(error)
-        self._add(choice, settings, OUTPUT_ERROR, predicted)
+        self._add(choice, settings, OUTPUT_ERROR, self._predicted(predict))
 
     # --- words ---
 

@@ -110,10 +110,10 @@ KINDS = LazyMapping[type[Kind]](
         "integrator": "parts.IntegratorKind",
         "transfer-function": "parts.TransferFunctionKind",
         "delay": "parts.DelayKind",
-        "sensor": "control.SensorKind",
-        "controller": "control.ControllerKind",
-        "discrete-state-space": "control.DiscreteStateSpaceKind",
-        "pid": "control.PidKind",
+        "sensor": "parts.SensorKind",
+        "controller": "parts.ControllerKind",
+        "discrete-state-space": "parts.DiscreteStateSpaceKind",
+        "pid": "parts.PidKind",
         "descriptor": "plants.DescriptorKind",
         "fmu": "plants.FmuKind",
         "recording": "plants.RecordingKind",
@@ -162,9 +162,9 @@ def parameters_of(table: type[BaseModel]) -> list[Parameter]:
 
     The required ones come first, those that every kind has, or every table, last.
     """
-    from cosim.scenario.kinds.tables import TableKeys  # rarely needed
+    from cosim.scenario.data_files.table import TableForm  # rarely needed
 
-    shared = Kind.model_fields.keys() | TableKeys.model_fields.keys()
+    shared = Kind.model_fields.keys() | TableForm.model_fields.keys()
     fields = table.model_fields
 
     def place(name: str) -> int:

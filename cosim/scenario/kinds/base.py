@@ -5,14 +5,17 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, TypeAlias, TypeVar
 
 import numpy as np
 from pydantic import Field, PrivateAttr
 
-from cosim.arrays import Mask, Matrix, Vector
+from cosim.arguments import mapping_argument, swap_argument
+from cosim.arrays import Mask, Vector
 from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock, whole_steps
 from cosim.core.connections import Connection, components_driving
@@ -22,17 +25,16 @@ from cosim.core.port import Port
 from cosim.core.recorded.signals import find_channel
 from cosim.core.recording import Recording
 from cosim.core.signals import Interface, PortUnit
+from cosim.core.structure.cycles import reached_from
 from cosim.core.structure.ports import unknown_port
-from cosim.documents import plain
-from cosim.errors import CosimError, UsageError, nearest
+from cosim.errors import UsageError, nearest
 from cosim.instants import StepNs, step_seconds, step_value
 from cosim.scenario.document.document import Document
-from cosim.scenario.document.places import Key
-from cosim.scenario.document.schema import AnyUnit, File, Settings, StepTime, TomlTable
-from cosim.scenario.document.swaps import MapEntry, ports_in
-from cosim.scenario.kinds.build_record import TABLES_ALONE, DependsOnInvalid, Origins
-from cosim.scenario.kinds.loading import CodeLoading
-from cosim.scenario.kinds.models import LETTERS, system_of, system_of_file
+from cosim.scenario.document.places import Key, Problem
+from cosim.scenario.document.schema import ActionTable, AnyUnit, File, StepTime, TomlTable
+from cosim.scenario.document.swaps import Map, PortNames, ports_in
+from cosim.scenario.kinds.build_record import TABLES_ALONE, BuildRecord, DependsOnInvalid, Origins
+from cosim.scenario.kinds.models import check_form, system_of
 from cosim.scenario.kinds.values import (
     ImpliedConnection,
     KnownSignal,
@@ -41,14 +43,13 @@ from cosim.scenario.kinds.values import (
     Spectrum,
     StepDependence,
 )
-from cosim.scenario.record import component_record, recorded_models
+from cosim.scenario.record import component_record
 from cosim.theory.plants.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:
-    from cosim.blocks.field_data import FieldData
     from cosim.fmi.exporting.specifications import Exportable
+    from cosim.scenario.session import Session
 
-T = TypeVar("T")
 AnyKind = TypeVar("AnyKind", bound="Kind")
 
 
@@ -287,49 +288,158 @@ class LinearKind(ExportableKind, LinearNearStart):
         return self.linear_model(name, context)
 
 
-class ScenarioTables(Protocol):
-    """What is built: the validated tables of a scenario."""
-
-    @property
-    def document(self) -> Document:
-        """Its text; its folder is what paths start from."""
-        ...
-
-    @property
-    def file(self) -> File:
-        """Its settings and models."""
-        ...
-
-    @property
-    def specs(self) -> Mapping[str, Kind]:
-        """The tables of components."""
-        ...
-
-    @property
-    def connections(self) -> Mapping[Port, Connection]:
-        """By input, or elements of it."""
-        ...
-
-    @property
-    def maps(self) -> Mapping[str, list[MapEntry]]:
-        """Of the swapped components."""
-        ...
-
-    @property
-    def invalid(self) -> frozenset[Key]:
-        """The tables and their entries that are wrong."""
-        ...
+# --- the scenario, and the context of its build ---
 
 
-def clock_of(settings: Settings) -> Clock:
-    """Return the clock of a scenario.
+@dataclass(frozen=True, repr=False)
+class Scenario:
+    """A validated scenario.
 
-    Raises
-    ------
-    ClockError
-        If one of its times is off the grid.
+    Parameters
+    ----------
+    document : Document
+    file : File
+    specs : mapping of component name to Kind
+    connections : mapping of Port to Connection
+        By input, or elements of it; those that kinds imply among them.
+    implied : mapping of Port to Port or None
+        Inputs that [connections] leaves open, and the ones that they share their sources with;
+        None: they follow from the component's own table.
+    maps : mapping of component name to Map
+        Of the swapped components.
+    tree : mapping
+        The tables as they stand in the file, edits applied.
+    parse : callable
+        Makes a scenario of an edited document; see :func:`cosim.scenario.building.build.parse`.
+    invalid : frozenset of Key
+        The tables and their entries that are wrong, so that they are missing in ``file`` or have
+        values that stand for others; what rests on them cannot be checked.
+    actions : mapping of number to ActionTable
+        Those of [[actions]] whose tables are right.
+    notes : tuple of (component name, text)
+        What becomes of the inputs of components that follow none.
+    problems : tuple of Problem
+        Of the tables; a scenario that users load has none.
+    starter : callable or None
+        Starts the scenario (:mod:`cosim.scenario.running.execution`); None: it is only read here.
     """
-    return Clock(settings.stop, settings.step, start_time=settings.start_time)
+
+    document: Document
+    file: File
+    specs: Mapping[str, Kind]
+    connections: Mapping[Port, Connection]
+    implied: Mapping[Port, Port | None]
+    maps: Mapping[str, Map]
+    tree: Mapping[str, Any]
+    parse: Callable[[Document], Scenario] = field(compare=False)
+    invalid: frozenset[Key] = frozenset()
+    actions: Mapping[int, ActionTable] = field(default_factory=dict)
+    notes: tuple[tuple[str, str], ...] = ()
+    problems: tuple[Problem, ...] = ()
+    starter: Callable[..., Session] | None = field(default=None, compare=False)
+
+    def __repr__(self) -> str:
+        return f"<the scenario {self.name!r}: {len(self.specs)} components>"
+
+    @property
+    def name(self) -> str:
+        """Name of the scenario."""
+        return self.file.scenario.name
+
+    def driver(self, to: Port) -> str | None:
+        """Return the component that drives an input alone, as a whole or by its elements.
+
+        None: nothing drives it, or sources of several components do.
+        """
+        drivers = list(self.sources(to))
+        return drivers[0] if len(drivers) == 1 else None
+
+    def sources(self, to: Port) -> frozenset[str]:
+        """Return the components that drive an input, as a whole or by its elements."""
+        return components_driving(self.connections, to)
+
+    @cached_property
+    def drivers(self) -> dict[str, set[str]]:
+        """The components that drive any input of each component."""
+        drivers: dict[str, set[str]] = {name: set() for name in self.specs}
+        for to, connection in self.connections.items():
+            sources = {source.component for source in connection.sources}
+            drivers.setdefault(to.component, set()).update(sources)
+        return drivers
+
+    def upstream(self, component: str) -> Scenario:
+        """Return the scenario of a component and of all that it depends on, without the others."""
+        needed = reached_from([component], self.drivers)
+        connections = {to: c for to, c in self.connections.items() if to.component in needed}
+        specs = {name: spec for name, spec in self.specs.items() if name in needed}
+        return replace(self, specs=specs, connections=connections)
+
+    def edit(
+        self,
+        *,
+        swap: Mapping[str, str | Path] | None = None,
+        map: Mapping[str, PortNames] | None = None,
+        set: Mapping[str, Any] | None = None,
+    ) -> Scenario:
+        """Return the scenario with components swapped, their ports mapped, then values set.
+
+        Raises
+        ------
+        UsageError
+            If one of these is no mapping, or has values of other types.
+        ScenarioError
+            With every problem of the file and of these edits.
+        """
+        paths = swap_argument(swap)
+        names = mapping_argument("map", map)
+        changes = mapping_argument("set", set)
+        if not (paths or names or changes):
+            return self
+        document = self.document
+        if paths or names:
+            document = document.with_swaps(paths, names)
+        if changes:
+            document = document.with_changes(changes)
+        return self.parse(document)
+
+    def swap(self, *, map: Mapping[str, PortNames] | None = None, **paths: str | Path) -> Scenario:
+        """Replace components: by an FMU (.fmu), a recorded one (.mcap), samples (.csv, ...).
+
+        ``map`` gives the names that ports have there, such as ``{"observer.y": "out1"}``; see
+        :mod:`cosim.scenario.document.swaps`.
+        """
+        return self.edit(swap=paths, map=map)
+
+    def start(
+        self,
+        *,
+        out: str | Path | None = None,
+        force: bool = False,
+        numbered: bool = False,
+    ) -> Session:
+        """Start the scenario, to advance it step by step: a context manager.
+
+        Parameters
+        ----------
+        out : str or Path, optional
+            Log file to write; without it nothing is recorded.
+        force : bool
+            Replace a log at ``out``.
+        numbered : bool
+            Where there is a log at ``out``, write to the next free one of ``x-2.mcap``, ...
+
+        Raises
+        ------
+        CosimError
+            UsageError if the scenario cannot be built or the log not be written, RunError if an
+            initial value is not finite.
+        """
+        assert self.starter is not None, "what users load can be started"
+        return self.starter(self, out, force=force, numbered=numbered)
+
+    def set(self, changes: Mapping[str, Any]) -> Scenario:
+        """Set values by dotted key, such as ``{"observer.filter_rate": 500.0}``."""
+        return self.edit(set=changes)
 
 
 def _first_element(port: Port) -> int:
@@ -343,14 +453,14 @@ def _first_element(port: Port) -> int:
             return port.element.start
 
 
-class BuildContext(CodeLoading):
+class BuildContext(BuildRecord):
     """What a kind may ask of the scenario while its component is built.
 
     All that it answers may raise ``DependsOnInvalid``.
 
     Parameters
     ----------
-    scenario : ScenarioTables
+    scenario : Scenario
     resources : ExitStack
         Closes what is opened.
     origins : Origins
@@ -366,7 +476,7 @@ class BuildContext(CodeLoading):
 
     def __init__(
         self,
-        scenario: ScenarioTables,
+        scenario: Scenario,
         resources: ExitStack,
         origins: Origins = TABLES_ALONE,
         invalid: Iterable[Key] = (),
@@ -376,9 +486,9 @@ class BuildContext(CodeLoading):
         self._scenario = scenario
         self._specs = scenario.specs
 
-    def beside(self, scenario: ScenarioTables, name: str) -> BuildContext:
+    def beside(self, scenario: Scenario, name: str) -> BuildContext:
         """Return a context of its own for one more build of a component, with another table."""
-        origins = Origins(recording=self.origins.recording, unpacked=self.origins.unpacked)
+        origins = Origins(recording=self.origins.recording)
         context = BuildContext(scenario, self._resources, origins)
         context.begin(name)
         return context
@@ -399,7 +509,7 @@ class BuildContext(CodeLoading):
         """The clock of the run, with blocks of any size."""
         for name in ("step", "start_time", "stop"):
             self._need(("scenario", name))
-        return clock_of(self._scenario.file.scenario)
+        return self._scenario.file.scenario.clock
 
     def _need(self, key: Key) -> None:
         """Check that an entry of a table is right, as far as that is known.
@@ -430,37 +540,10 @@ class BuildContext(CodeLoading):
         table = tables[name]
 
         def make() -> DescriptorSystem:
-            if table.file is None:
-                return system_of(table)
-            return system_of_file(table, self._matrices(name, table.file))
+            check_form(table)
+            return system_of(table, None if table.file is None else self.matrices(name, table.file))
 
         return self.made_once("model", name, make)
-
-    def _matrices(self, name: str, path: str) -> Mapping[str, Matrix]:
-        """Return the matrices of a model's file, and record them; a replay takes them from there.
-
-        Raises
-        ------
-        UsageError
-            If the file cannot be read, or is not to be opened.
-        LogError
-            If the recorded matrices cannot be understood.
-        """
-        if self.origins.recording is not None:
-            record = recorded_models(self.origins.recording).get(name)
-            if record is not None and record.file == path:
-                self.model_records[name] = plain(record)
-                return record.arrays
-        # rarely needed
-        from cosim.scenario.data_files.mat_file import missing_text, read_model_file
-
-        content = read_model_file(self.file(path), LETTERS)
-        missing = [letter for letter in ("A", "C") if letter not in content.matrices]
-        if missing:
-            raise UsageError(missing_text(path, content, missing))
-        matrices = {letter: rows.tolist() for letter, rows in content.matrices.items()}
-        self.model_records[name] = {"file": path, "sha256": content.sha256, "matrices": matrices}
-        return content.matrices
 
     def spec(self, name: str) -> Kind:
         """Return the table of another component, and record that it was read."""
@@ -471,8 +554,8 @@ class BuildContext(CodeLoading):
 
     def driver(self, to: Port) -> str | None:
         """Return the component that drives an input alone; None: there is no such component."""
-        drivers = list(self._drivers(to))
-        return drivers[0] if len(drivers) == 1 else None
+        self._need_connected(to)
+        return self._scenario.driver(to)
 
     def sources(self, to: Port) -> list[Port]:
         """Return the outputs, or elements of these, that drive an input, one behind the other.
@@ -491,26 +574,16 @@ class BuildContext(CodeLoading):
 
     def drivers(self, to: Port) -> Mapping[str, Kind]:
         """Return the components that drive an input, as a whole or by its elements."""
-        specs = self._specs
-        return {name: specs[name] for name in self._drivers(to) if name in specs}
-
-    def _drivers(self, to: Port) -> list[str]:
         self._need_connected(to)
-        return sorted(components_driving(self._scenario.connections, to))
+        names = sorted(self._scenario.sources(to))
+        return {name: self._specs[name] for name in names if name in self._specs}
 
     def behind(self, to: Port) -> Mapping[str, Kind]:
         """Return the components that an input follows, up to those that are not computable."""
-        components: dict[str, Kind] = {}
-        waiting = set(self._drivers(to))
-        while waiting:
-            name = waiting.pop()
-            if name in self._specs:
-                spec = components[name] = self._specs[name]
-                if spec.computable:
-                    for port in self._inputs(name):
-                        sources = {source.component for source in self._sources(port)}
-                        waiting |= sources - components.keys()
-        return components
+        drivers = self._scenario.drivers
+        followed = {n: drivers[n] for n, spec in self._specs.items() if spec.computable}
+        reached = reached_from(self.drivers(to), followed)
+        return {name: self._specs[name] for name in reached if name in self._specs}
 
     def _need_connected(self, to: Port) -> None:
         """Check that what drives an input is right, as far as that is known.
@@ -525,34 +598,11 @@ class BuildContext(CodeLoading):
             if key[0] == "connections" and to in [port.whole for port in ports_in(key[1:2])]:
                 raise DependsOnInvalid
 
-    def designed(self, name: str, design: Callable[[], T]) -> T:
-        """Return the design of a component, which is made once in a build, whoever asks for it."""
-        return self.made_once("design", name, design)
-
-    def field_data(self, name: str, read: Callable[[], FieldData]) -> FieldData:
-        """Return the samples of a component, which are read once.
-
-        What is wrong with them is the problem of that component, which reports it itself.
-        """
-
-        def read_or_problem() -> FieldData | UsageError:
-            try:
-                return read()
-            except UsageError as error:
-                return error
-
-        data = self.made_once("samples", name, read_or_problem)
-        if isinstance(data, UsageError):
-            if name != self.current:
-                raise DependsOnInvalid(str(data)) from data
-            raise data
-        return data
-
     def mapped(self, name: str) -> list[Port]:
         """Return the ports of a swapped component that its map names."""
         ports: list[Port] = []
-        for entry in self._scenario.maps.get(name, []):
-            ports += entry.renaming.sources
+        for renaming in self._scenario.maps.get(name, {}).values():
+            ports += renaming.sources
         return ports
 
     def of_kind(self, kind: type[AnyKind]) -> dict[str, AnyKind]:
@@ -582,11 +632,12 @@ class BuildContext(CodeLoading):
         UsageError
             If it is made of signals that lag differently.
         """
+        connections = self._scenario.connections
         lags: dict[float, Port] = {}
         seen: set[str] = set()
-        waiting = [to]
-        while waiting:
-            for source in self._sources(waiting.pop()):
+        waiting = [port for port in connections if to in (port, port.whole)]
+        for port in waiting:  # grows on the way
+            for source in (source.whole for source in connections[port].sources):
                 name = source.component
                 spec = self._specs.get(name)
                 if spec is None:
@@ -596,7 +647,7 @@ class BuildContext(CodeLoading):
                     lags[self._lag_of(spec, source)] = source
                 elif name not in seen:
                     seen.add(name)
-                    waiting += self._inputs(name)
+                    waiting += [port for port in connections if port.component == name]
         if len(lags) > 1:
             sources = ", ".join(f"{source} by {lag:g} s" for lag, source in lags.items())
             raise UsageError(f"{to.name!r}: expected signals with equal lags, got {sources}")
@@ -606,23 +657,8 @@ class BuildContext(CodeLoading):
         recording = self.replayed_from(spec)
         if recording is not None:
             return component_record(recording, source.component).lags.get(source.signal, 0.0)
-        try:
+        with self.reported_by(source.component):
             return spec.lag(source.component, source.signal, self)
-        except CosimError as error:  # the problem of that component, which reports it itself
-            raise DependsOnInvalid(str(error)) from error
-
-    def _sources(self, to: Port) -> list[Port]:
-        """Return the outputs that drive an input or its elements."""
-        sources: list[Port] = []
-        for port, connection in self._scenario.connections.items():
-            if port.component == to.component and to in (port, port.whole):
-                sources += [source.whole for source in connection.sources]
-        return sources
-
-    def _inputs(self, name: str) -> list[Port]:
-        """Return the inputs of a component that something drives."""
-        ports = {port.whole for port in self._scenario.connections if port.component == name}
-        return sorted(ports, key=str)
 
     def known(self, source: Port) -> KnownSignal | None:
         """Return an output, or an element of one, as a function of time, where that is known."""
@@ -647,9 +683,8 @@ class BuildContext(CodeLoading):
             return Replay(recording, name)
         count = len(self.warnings)
         try:
-            return spec.build(name, self)
-        except CosimError as error:  # the problem of that component, which reports it itself
-            raise DependsOnInvalid(str(error)) from error
+            with self.reported_by(name):
+                return spec.build(name, self)
         finally:
             del self.warnings[count:]  # it warns where it is built for the run
 
@@ -668,33 +703,6 @@ class BuildContext(CodeLoading):
                 self.read(f"components.{to.component}")
                 spectra.append(spectrum)
         return spectra
-
-    def chosen(
-        self, name: str, request: Mapping[str, Any], choose: Callable[[], Mapping[str, Any]]
-    ) -> Mapping[str, Any]:
-        """Return what was chosen for a component, and record it; a replay takes it from there.
-
-        Parameters
-        ----------
-        name : str
-        request : Mapping
-            What the choice rests on: plain values.
-        choose : callable
-            Makes it, of plain values.
-        """
-
-        def make() -> Mapping[str, Any]:
-            recorded = None
-            if self.origins.recording is not None:
-                recorded = component_record(self.origins.recording, name).choice
-            if recorded is not None and recorded.request == request:
-                result: Mapping[str, Any] = plain(recorded.result)
-            else:
-                result = choose()
-            self.add_metadata(name, {"choice": {"request": request, "result": result}})
-            return result
-
-        return self.made_once("choice", name, make)
 
     def recording(self, path: str) -> Recording:
         """Open a log with the scenario's communication step.

@@ -4,25 +4,33 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
+from cosim.arrays import Vector
+from cosim.core.graph import Graph
 from cosim.core.signals import Interface
+from cosim.errors import listing
 from cosim.instants import StepNs
 from cosim.scenario.kinds.base import BuildContext
-from cosim.scenario.kinds.initial_states import GivenStates
+from cosim.scenario.record import StateChange
+from cosim.theory.plants.descriptor import UserCoordinates
 
 if TYPE_CHECKING:
     from cosim.blocks.renaming import Renaming
     from cosim.fmi.description import Description, InterfaceType
+
+ROUNDINGS: Final = 64.0  # of a term of an initial state, that no one needs to hear of
+MOST_ENTRIES: Final = 12  # that a message lists
 
 
 class Advising(ABC):
     """Its result may be right but costly or poor."""
 
     @abstractmethod
-    def advice(
-        self, name: str, context: BuildContext, *, held: Mapping[str, bool], h: float
-    ) -> list[str]:
+    def advice(self, name: str, context: BuildContext, held: Mapping[str, bool]) -> list[str]:
         """Return warnings about that.
 
         Parameters
@@ -33,8 +41,6 @@ class Advising(ABC):
             That it was built in.
         held : mapping of input name to bool
             Whether the input keeps its value over a communication step.
-        h : float
-            Communication step [s].
         """
 
 
@@ -94,6 +100,66 @@ class RenamesMore(ABC):
             Of the component.
         given : sequence of Renaming
         """
+
+
+@dataclass(frozen=True, eq=False)
+class GivenStates:
+    """Initial states x0 that a table gives; the run has ``X R x0 + Xu u + Xd delta``.
+
+    Of `E x' = A x + Bu u + Bd delta` only E x(0) is free: the algebraic equations have the rest.
+    The same holds of an estimate. ``coordinates`` are X, Xu, Xd and R; x is the signal ``x`` of the
+    component.
+    """
+
+    values: Vector
+    coordinates: UserCoordinates
+
+    def changes(self, signals: Mapping[str, Vector]) -> list[StateChange]:
+        """Return the entries of x(0) that differ from x0 by more than rounding.
+
+        An entry that has no value yet is left out. None, where a signal lacks that this follows
+        from, as in a partial log.
+        """
+        maps = self.coordinates
+        n_u = maps.Xu.shape[1]
+        sizes = {"x": len(maps.X), "u": n_u, "delta": maps.Xd.shape[1]}
+        if any(size and signal not in signals for signal, size in sizes.items()):
+            return []
+        u = signals["u"][:n_u] if n_u else np.zeros(0)
+        delta = signals.get("delta", u[:0])
+        delta = np.where(np.isnan(delta), 0.0, delta)  # a window has no value at first
+        x = signals["x"]
+        of_states = np.abs(maps.X) @ (np.abs(maps.R) @ np.abs(self.values))
+        of_inputs = np.abs(maps.Xu) @ np.abs(u) + np.abs(maps.Xd) @ np.abs(delta)
+        terms = np.abs(self.values) + of_states + of_inputs
+        rounding = ROUNDINGS * np.finfo(np.float64).eps * terms
+        changed = np.flatnonzero(np.abs(x - self.values) > rounding)
+        return [
+            StateChange(entry=f"x[{i}]", before=float(self.values[i]), after=float(x[i]))
+            for i in changed.tolist()
+        ]
+
+
+def changed_states(
+    graph: Graph, given: Mapping[str, GivenStates], row: Vector
+) -> dict[str, list[StateChange]]:
+    """Return what the first row of a run changes of the initial states, by component."""
+    changes = {}
+    for name, states in given.items():
+        columns = graph.layout[name].signal_columns
+        changed = states.changes({signal: row[own] for signal, own in columns.items()})
+        if changed:
+            changes[name] = changed
+    return changes
+
+
+def change_text(changes: Sequence[StateChange]) -> str:
+    """Return in words what became of initial states."""
+    shown = [f"{one.entry} = {one.before:.6g} is {one.after:.6g}" for one in changes]
+    return (
+        "x0 does not fulfill the algebraic equations with u and delta at the start: E x0 is kept, "
+        f"and {listing(shown, MOST_ENTRIES)}"
+    )
 
 
 class HasGivenStates(ABC):

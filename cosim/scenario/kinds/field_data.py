@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
-from pydantic import Field, StrictStr
+from pydantic import Field
 
 from cosim.arrays import Vector
 from cosim.blocks.field_data import (
@@ -28,71 +29,28 @@ from cosim.errors import UsageError
 from cosim.instants import StepNs
 from cosim.native.step import LARGEST_MEMORY
 from cosim.scenario.data_files.field_file import (
-    MCAP,
-    check_asked,
+    FieldForm,
     field_data,
-    listed_columns,
+    message_data,
     read_samples,
-    recorded_data,
 )
-from cosim.scenario.data_files.table import FieldForm
-from cosim.scenario.document.schema import Number, UnitName, Whole
+from cosim.scenario.document.schema import Number, Whole
 from cosim.scenario.kinds.base import BuildContext
 from cosim.scenario.kinds.capabilities import DecidedByStep, HasSamples, RenamesMore
 from cosim.scenario.kinds.plants import PlantKind
-from cosim.scenario.kinds.tables import TableKeys
 from cosim.scenario.kinds.values import StepDependence
 
 MOST_SAMPLES: Final = 1000  # in one communication step
 FEWEST_SAMPLES: Final = 3  # in a run: fewer are a straight line
 
 
-class FieldDataKind(TableKeys, PlantKind, DecidedByStep, HasSamples, RenamesMore):
+class FieldDataKind(FieldForm, PlantKind, DecidedByStep, HasSamples, RenamesMore):
     """Recorded samples of a table or of an MCAP of another tool, at their own times."""
 
     ports: ClassVar[str] = "-> columns or fields of the file, samples of each, sample_times"
     is_recorded: ClassVar[bool] = True
     follows_inputs: ClassVar[bool] = False
     kind: Literal["field-data"]
-    path: str = Field(
-        description="path of a table: CSV and other text, .parquet, .xlsx, .mat (trajectory of "
-        "Dymola or OpenModelica, arrays); or of an MCAP (.mcap) with messages in protobuf, JSON or "
-        "CDR (ROS 2)"
-    )
-    time: str | None = Field(
-        None,
-        description="column of the times; default: the index of times that pandas wrote, the "
-        'column named as times are, such as "t", "Time [s]" or "timestamp", the one with a unit of '
-        'time, the one of dates, or the first, with a warning; MCAP: "log_time" '
-        '(default), "publish_time", or a field such as "header.stamp"',
-    )
-    time_unit: UnitName | None = Field(
-        None, description="unit of the times; default: from the column name, as in t [ms], or s"
-    )
-    offset: Whole | Number | Literal["first"] | None = Field(
-        None,
-        description="time stamp of t = 0, in the unit of the file (dates: ns since 1970), an "
-        'integer exactly, or "first"; default: 0; MCAP: '
-        'in time_unit, default "first", the first time when all fields used have a sample',
-    )
-    columns: dict[str, StrictStr | list[StrictStr]] | None = Field(
-        None,
-        description='columns per output, such as { y = "level", x_a = ["s1", "s2"] }; default: one '
-        "output per column, x[0], x[1], ... as elements of x; MCAP: fields, such as "
-        '{ y = "/drive/state.position", u = ["/cmd.a", "/cmd.b[3]"] }; default: those in the '
-        "map of the swap",
-    )
-    missing: tuple[Number | StrictStr, ...] = Field(
-        (),
-        description="what stands for no measured value, beside empty cells and NaN, as in "
-        '[-9999, "NA"]',
-    )
-    same_time: Literal["last", "spread"] | None = Field(
-        None,
-        description='samples of one time stamp: the "last" counts, or they are "spread" evenly up '
-        "to the next time stamp, as where stamps are whole seconds; default: refused; trajectory "
-        'in a .mat, MCAP: "last"',
-    )
     maximum_gap: Number | None = Field(
         None,
         description="longest time between two samples [s]; default: ten times the median; with "
@@ -169,7 +127,7 @@ class FieldDataKind(TableKeys, PlantKind, DecidedByStep, HasSamples, RenamesMore
         hold = self.interpolation == "zero-order"
         extrapolate = self.extrapolation == "hold"
         notes = check_covers(data, points, self.maximum_gap, hold=hold, extrapolate=extrapolate)
-        if self._is_mcap and self.interpolation is None:
+        if self.is_mcap and self.interpolation is None:
             check_step(data, context.clock.h)
         for text in (*data.diagnostics, *notes):
             context.warn(name, text)
@@ -213,20 +171,9 @@ class FieldDataKind(TableKeys, PlantKind, DecidedByStep, HasSamples, RenamesMore
     def _most(self, data: FieldData, points: Vector) -> int:
         return max(data.most_in_a_step(points), self.places or 1)
 
-    @property
-    def _is_mcap(self) -> bool:
-        return Path(self.path).suffix.lower() == MCAP
-
-    @property
-    def field_form(self) -> FieldForm:
-        """What is given of the samples and their file."""
-        keys = ("time", "time_unit", "offset", "same_time", "columns")
-        given = {key: getattr(self, key) for key in keys}
-        return FieldForm(**given, table=replace(self.form, missing=self.missing))
-
     def fields(self, mapped: Sequence[Port]) -> dict[str, list[str]]:
         """Return the fields of an MCAP by output: those of ``columns``, and what a map names."""
-        fields = listed_columns(self.columns or {})
+        fields = self.listed_columns
         for port in mapped:
             if fields.keys().isdisjoint({port.name, port.signal}):
                 fields[port.name] = [port.name]
@@ -237,10 +184,7 @@ class FieldDataKind(TableKeys, PlantKind, DecidedByStep, HasSamples, RenamesMore
 
         def read() -> FieldData:
             path = context.file(self.path)
-            if self._is_mcap:
-                data = self._of_mcap(name, path, context)
-            else:
-                data = field_data(path, self.field_form)
+            data = self._of_mcap(name, path, context) if self.is_mcap else field_data(path, self)
             return at_points(data, context.clock.points)
 
         return context.field_data(name, read)
@@ -251,16 +195,17 @@ class FieldDataKind(TableKeys, PlantKind, DecidedByStep, HasSamples, RenamesMore
         All of them have a sample at t = 0.
         """
         columns = self.fields(context.mapped(name))
-        check_asked(path, columns, self.same_time)
         together = list(chain.from_iterable(columns.values()))
         for other, spec in context.of_kind(FieldDataKind).items():
             if (spec.path, spec.time, spec.time_unit) == (self.path, self.time, self.time_unit):
                 together += chain.from_iterable(spec.fields(context.mapped(other)).values())
-        samples = context.designed(
-            f"samples of {path} by {self.time} in {self.time_unit}",
-            lambda: read_samples(path, together, self.field_form),
+        samples = partial(
+            context.made_once,
+            "fields",
+            f"{path} by {self.time} in {self.time_unit}",
+            partial(read_samples, self, path, together),
         )
-        return recorded_data(path, columns, samples, self.field_form)
+        return message_data(self, path, columns, samples)
 
 
 def _samples_shown(shown: Port, most: int) -> Port:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from cosim.arrays import Vector
 from cosim.blocks.declared import with_units
 from cosim.blocks.estimator import Estimator
 from cosim.blocks.identification_problem import IdentificationProblem, IdentificationSchedule
@@ -27,38 +28,22 @@ from cosim.core.signals import PortUnit
 from cosim.errors import AssumptionError, UsageError
 from cosim.instants import StepNs
 from cosim.native.estimation.rayleigh import MOST_TERMS
-from cosim.scenario.document.schema import (
-    Flag,
-    Limit,
-    Number,
-    NumberRow,
-    NumberRows,
-    StepTime,
-)
-from cosim.scenario.kinds.alphas import alpha_connections
-from cosim.scenario.kinds.base import (
-    BuildContext,
-    ExportableKind,
-    Kind,
-    PeriodicKind,
-    Wiring,
-)
+from cosim.scenario.document.schema import Flag, Limit, Number, NumberRow, NumberRows, StepTime
+from cosim.scenario.kinds.base import BuildContext, ExportableKind, Kind, PeriodicKind, Wiring
 from cosim.scenario.kinds.capabilities import DecidedByStep
-from cosim.scenario.kinds.identification_source import (
+from cosim.scenario.kinds.identified_plant import (
+    IdentifiedPlant,
     IdentifierSource,
     ObserverSource,
     StartTable,
+    bounds_of,
     sample_connections,
     sampled_behind,
-    start_time,
-)
-from cosim.scenario.kinds.identified_plant import (
-    IdentifiedPlant,
-    bounds_of,
     stated_covariance,
 )
-from cosim.scenario.kinds.reconstruction import delta_transient
+from cosim.scenario.kinds.observer_design import delta_transient
 from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
+from cosim.scenario.kinds.terms import alpha_connections
 from cosim.scenario.kinds.values import ImpliedConnection, shared_connections
 from cosim.scenario.kinds.variants import (
     LINEAR_METHODS,
@@ -69,6 +54,7 @@ from cosim.scenario.kinds.variants import (
 from cosim.theory.disturbances import regression
 from cosim.theory.disturbed_plant import disturbed_plant
 from cosim.theory.estimators import defaults
+from cosim.theory.estimators.output_error import limits_of
 from cosim.theory.estimators.rayleigh import rayleigh_constants
 
 if TYPE_CHECKING:
@@ -213,33 +199,35 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
         self._check_terms(source.regression)
         if self._needs_regression:
             source.regression.check_known(context.clock, estimates_eta=True)
-        begin = start_time(self.start, source, context)
+        begin = source.start_time(self.start)
         problem = source.missing_model()
-        unknown = ", ".join(repr(alpha.text) for alpha in source.regression.known.unknown)
-        if unknown and len(source.regression.groups) > 1:
-            when = (
-                "nowhere, as no model of y is there to judge by"
-                if problem
-                else "where estimates are judged"
-            )
-            context.warn(
-                name,
-                f"alpha {unknown}: only the run computes it, so that the products of the alphas "
-                f"are checked for independence {when}",
-            )
-        identified = None if problem else self._identified(source, context)
+        self._warn_of_unknown_alphas(source, is_judged=not problem)
+        if source.observer is not None and not problem:
+            context.identified[name] = self._identified(source, source.observer)
         if self.method in LINEAR_METHODS:
-            return self._on_regression(source, begin, context), {}
+            return self._on_regression(source, begin), {}
         context.add_metadata(name, {"method": self.method})
-        if source.observer is None or identified is None:
+        if source.observer is None or problem:
             raise UsageError(f'method = "{self.method}": {problem}')
-        identifier = self._of_model(source, source.observer, identified, begin, context)
+        identifier = self._of_model(source, source.observer, begin)
         return identifier, source.observer.units(identifier.interface)
 
-    def _identified(self, source: IdentifierSource, context: BuildContext) -> IdentifiedPlant:
-        """Return the model of y; have the estimates judged by it at the end of the run."""
-        observer = source.observer
-        assert observer is not None
+    def _warn_of_unknown_alphas(self, source: IdentifierSource, *, is_judged: bool) -> None:
+        unknown = ", ".join(repr(alpha.text) for alpha in source.regression.known.unknown)
+        if not unknown or len(source.regression.groups) < 2:
+            return
+        when = "where estimates are judged"
+        if not is_judged:
+            when = "nowhere, as no model of y is there to judge by"
+        source.context.warn(
+            source.identifier,
+            f"alpha {unknown}: only the run computes it, so that the products of the alphas are "
+            f"checked for independence {when}",
+        )
+
+    def _identified(self, source: IdentifierSource, observer: ObserverSource) -> IdentifiedPlant:
+        """Return the model of y, which the estimates are judged by at the end of the run."""
+        context = source.context
         design = source.regression
         is_output_error = self.method == "output-error"
         sampled_by = sampled_behind(Port(observer.name, "y"), context)
@@ -258,8 +246,8 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
         if self.bounds is not None:
             parameters = sum(len(family.parameters) for family in design.families)
             bounds = bounds_of([list(row) for row in self.bounds], parameters)
-        source.kind.check_distinguishable(context, bounds)
-        identified = IdentifiedPlant(
+        design.check_distinguishable(context.clock, bounds)
+        return IdentifiedPlant(
             problem=problem,
             observer=observer.name,
             plant=plant,
@@ -276,14 +264,10 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
             window=math.inf if self.window is None else self.window,
             forgetting=math.inf if self.forgetting is None else self.forgetting,
         )
-        context.identified[source.identifier] = identified
-        return identified
 
     # --- methods on the regression ---
 
-    def _on_regression(
-        self, source: IdentifierSource, begin: float, context: BuildContext
-    ) -> Component:
+    def _on_regression(self, source: IdentifierSource, begin: float) -> Component:
         from cosim.theory.estimators import least_squares
 
         design = source.regression
@@ -291,16 +275,13 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
         if self.method == "least-squares":
             from cosim.blocks.identifier import LeastSquaresIdentifier
 
-            metadata = {
-                "P0": self.P0,
-                "unknowns": recovery.n_eta,
-                "notes": _recovery_notes(recovery),
-            }
-            context.add_metadata(source.identifier, metadata)
+            notes = _recovery_notes(recovery)
+            metadata = {"P0": self.P0, "unknowns": recovery.n_eta, "notes": notes}
+            source.context.add_metadata(source.identifier, metadata)
             return LeastSquaresIdentifier(recovery, start_time=begin, P0=self.P0)
         from cosim.blocks.adaptive_identifier import AdaptiveIdentifier
 
-        context.add_metadata(source.identifier, {"method": self.method})
+        source.context.add_metadata(source.identifier, {"method": self.method})
         is_gradient = self.method == "gradient"
         law = AdaptiveIdentifier(
             law="gradient" if is_gradient else "drem",
@@ -314,14 +295,10 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
     # --- methods on the design model ---
 
     def _of_model(
-        self,
-        source: IdentifierSource,
-        observer: ObserverSource,
-        identified: IdentifiedPlant,
-        begin: float,
-        context: BuildContext,
+        self, source: IdentifierSource, observer: ObserverSource, begin: float
     ) -> Component:
         design = source.regression
+        identified: IdentifiedPlant = source.context.identified[source.identifier]
         model, designed = observer.design
         modes, row = delta_transient(model.reduced, designed, observer.reconstruction)
         problem = IdentificationProblem(
@@ -337,35 +314,46 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
             stated=identified.stated,
             disturbances=len(design.members),
         )
-        schedule = self._schedule(source, begin, context)
-        lower, upper = identified.limits
-        if self.method == "output-error":
-            samplers = source.samplers.values()
-            identifier = OutputErrorIdentifier(
-                problem.within(lower, upper),
-                schedule,
-                offset=self.offset,
-                lower=lower,
-                upper=upper,
-                most=source.most_samples(),
-                at_points=all(kind.samples_at_points for kind in samplers),
-            )
-            late = max((kind.late_steps(context) for kind in samplers), default=0)
-            if not late:
-                return Estimator(identifier)
-            from cosim.blocks.late_samples import LateSamples
+        schedule = self._schedule(source, begin)
+        limits = limits_of(identified.bounds, identified.parameters)
+        match self.method:
+            case "output-error":
+                return self._by_output_error(source, problem.within(*limits), schedule, limits)
+            case "projection":
+                from cosim.blocks.projection_identifier import ProjectionIdentifier
 
-            return LateSamples(Estimator(identifier), steps=late)
-        if self.method == "projection":
-            from cosim.blocks.projection_identifier import ProjectionIdentifier
+                within = problem.within(*limits)
+                return Estimator(ProjectionIdentifier(within, schedule, *limits))
+            case "rayleigh":
+                from cosim.blocks.projection_identifier import RayleighIdentifier
 
-            within = problem.within(lower, upper)
-            return Estimator(ProjectionIdentifier(within, schedule, lower, upper))
-        if self.method == "rayleigh":
-            from cosim.blocks.projection_identifier import RayleighIdentifier
-
-            return Estimator(RayleighIdentifier(problem, schedule))
+                return Estimator(RayleighIdentifier(problem, schedule))
         return self._kalman(problem, schedule)
+
+    def _by_output_error(
+        self,
+        source: IdentifierSource,
+        problem: IdentificationProblem,
+        schedule: IdentificationSchedule,
+        limits: tuple[Vector, Vector],
+    ) -> Component:
+        samplers = source.samplers.values()
+        lower, upper = limits
+        identifier = OutputErrorIdentifier(
+            problem,
+            schedule,
+            offset=self.offset,
+            lower=lower,
+            upper=upper,
+            most=source.most_samples(),
+            at_points=all(kind.samples_at_points for kind in samplers),
+        )
+        late = max((kind.late_steps(source.context) for kind in samplers), default=0)
+        if not late:
+            return Estimator(identifier)
+        from cosim.blocks.late_samples import LateSamples
+
+        return LateSamples(Estimator(identifier), steps=late)
 
     def _kalman(
         self, problem: IdentificationProblem, schedule: IdentificationSchedule
@@ -395,10 +383,8 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
         )
         return Estimator(augmented)
 
-    def _schedule(
-        self, source: IdentifierSource, begin: float, context: BuildContext
-    ) -> IdentificationSchedule:
-        clock = context.clock
+    def _schedule(self, source: IdentifierSource, begin: float) -> IdentificationSchedule:
+        clock = source.context.clock
         step = clock.h
         gaps = np.diff(np.sort(np.array(source.regression.delays, np.float64)))
         window = 0
@@ -406,7 +392,7 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
             window = whole_steps(self.window, clock.step_ns, f"window of {source.identifier!r}")
         lag = source.regression.lag
         if "delta" in METHODS[self.method].inputs:
-            lag = context.lag(Port(source.identifier, "delta"))
+            lag = source.context.lag(Port(source.identifier, "delta"))
         return IdentificationSchedule(
             period=self.period_steps(source.identifier, clock.step_ns),
             steps=clock.steps,
@@ -442,8 +428,8 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
                 'their amplitudes use method = "output-error" or "projection"'
             )
         problem = ""
-        if design.each and self.method != "output-error":
-            problem = f"expected terms of one element of delta, got {len(design.each)}"
+        if design.has_several and self.method != "output-error":
+            problem = f"expected terms of one element of delta, got {len(design.members)}"
         elif self.method in LINEAR_METHODS:
             problem = regression.linear_route_problem(design.sizes)
         elif self.method in ("rayleigh", "projection") and not design.is_expanded:

@@ -1,53 +1,349 @@
-"""What is identified, and what is judged of it at the end of a run.
-
-Verdicts are the same for every method: output error is fitted to what the observer took in as y and
-u, and what the identifier says is held against it. Where the identifier takes samples of y at times
-of their own, it is fitted to these; where it has a moving window, to the last one. They are
-results, not signals: they rest on linear algebra whose last bits depend on the processor.
-
-The same tests tell whether the samples of a residual are what noise leaves: it is the output of a
-plant without states, input and disturbance.
-"""
+"""What an identifier has behind it: regressor, observer, the model of y, and the data of a fit."""
 
 from __future__ import annotations
 
 import math
-import sys
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from dataclasses import asdict, dataclass, replace
+from typing import Final, TypeAlias
 
 import numpy as np
+from pydantic import Field, TypeAdapter, ValidationError
 
-from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.contracts import Block
+from cosim.arrays import Mask, Matrix, Vector, as_columns
+from cosim.blocks.field_data import units_of_samples
+from cosim.core.clock import LARGEST_NS, seconds
+from cosim.core.connections import Connection, components_driving
 from cosim.core.graph import Graph
 from cosim.core.port import Port
+from cosim.core.recording import Recording
+from cosim.core.signals import SAMPLE_TIMES, Interface, PortUnit
 from cosim.core.structure.cycles import reached_from
-from cosim.errors import AssumptionError, RunError, UsageError
+from cosim.errors import AssumptionError, UsageError, quoted
 from cosim.native.estimation.alphas import Alpha, AlphaSignal, signals_among
 from cosim.native.numerics.programs import evaluate_at
-from cosim.scenario.record import IdentifierVerdicts, IrregularEffect, IrregularPart
-from cosim.theory.assessment.advice import advised
-from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
-from cosim.theory.assessment.assessing import assess
-from cosim.theory.assessment.undetected import undetected_errors
-from cosim.theory.assessment.verdicts import Assessment, judge
+from cosim.scenario.document.schema import Limit, Number, TomlTable
+from cosim.scenario.kinds.base import BuildContext, Kind
+from cosim.scenario.kinds.capabilities import HasSamples
+from cosim.scenario.kinds.observer_design import AnyReconstruction
+from cosim.scenario.kinds.observers import DesignedObserver, UnknownInputObserverKind
+from cosim.scenario.kinds.regressor import RegressorKind
+from cosim.scenario.kinds.values import ImpliedConnection
+from cosim.theory.assessment.accuracy import check_step
 from cosim.theory.covariance import is_covariance
-from cosim.theory.disturbances.families import Family, Polynomial
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
+from cosim.theory.disturbances.families import Family
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import OutputErrorProblem
-
-if TYPE_CHECKING:
-    from cosim.theory.bounded.feasible_program import Watch
-    from cosim.theory.bounded.irregular_part import GuaranteedInterval, Programs
+from cosim.theory.observers.observer import identification_start_time
+from cosim.theory.reconstruction.filters import ConsistentFilter, FirstOrderFilter
 
 # (lower, upper) of each theta, or of some by their index
 ThetaBounds: TypeAlias = Sequence[Sequence[float]] | Mapping[int, tuple[float, float]]
 OUTPUT_ERROR: Final = "output-error"
-IDENTIFY_WITH_OFFSET: Final = "`cosim identify --offset`"
-FREQUENCIES: Final = 1025  # of a spectrum, from 0 to half the sampling frequency
+NO_SIGNALS: Final = np.zeros((0, 0))
+_INTERVAL: Final = TypeAdapter(tuple[Limit, Limit])
+
+
+# --- what drives an identifier ---
+
+
+class StartTable(TomlTable):
+    """Identification start time T_id by (36)-(38)."""
+
+    epsilon_observer: Number = Field(
+        description="remaining fraction of the initial observer error at T_id, in (0, 1)"
+    )
+    epsilon_filter: Number = Field(
+        description="remaining fraction of the initial filter transient at T_id, in (0, 1)"
+    )
+
+
+DEFAULT_START = StartTable(epsilon_observer=1e-3, epsilon_filter=1e-3)
+
+
+@dataclass(frozen=True, eq=False)
+class ObserverSource:
+    """The observer that drives a regressor alone."""
+
+    name: str
+    kind: UnknownInputObserverKind
+    context: BuildContext
+
+    @property
+    def design(self) -> DesignedObserver:
+        """Its design, and the model that it is designed on."""
+        return self.kind.design(self.name, self.context)
+
+    @property
+    def reconstruction(self) -> AnyReconstruction:
+        """How it makes delta."""
+        return self.kind.reconstruction(self.name, self.context)
+
+    def units(self, interface: Interface) -> dict[str, PortUnit]:
+        """Return the units of the signals that are taken where the observer takes them."""
+        named: dict[str, PortUnit] = {}
+        for port, designed in self.design.model.units.items():
+            names = tuple(unit.name for unit in designed if unit.name is not None)
+            if names:
+                named[port] = names
+        named |= self.kind.units
+        if "y" in named and SAMPLE_TIMES in interface.by_name:
+            most = interface.by_name[SAMPLE_TIMES].size
+            named["samples"] = units_of_samples(named["y"], most)
+        inputs = [signal.name for signal in interface.inputs]
+        return {name: named[name] for name in inputs if name in named}
+
+
+class IdentifierSource:
+    """The regressor that drives an identifier, and the observer that drives the regressor.
+
+    Parameters
+    ----------
+    identifier : str
+    context : BuildContext
+
+    Attributes
+    ----------
+    context : BuildContext
+    identifier, regressor : str
+    regression : RegressorDesign
+    observer : ObserverSource or None
+        None: what drives the regressor is no observer, or several.
+
+    Raises
+    ------
+    UsageError
+        If no regressor drives the identifier directly.
+    """
+
+    def __init__(self, identifier: str, context: BuildContext) -> None:
+        name = context.driver(Port(identifier, "regressor"))
+        kind = None if name is None else context.spec(name)
+        if name is None or not isinstance(kind, RegressorKind):
+            raise UsageError(
+                "'regressor' must be driven directly by a component of kind 'regressor', "
+                "which has the terms to identify"
+            )
+        self.identifier = identifier
+        self.regressor = name
+        self.regression = kind.design(name, context)
+        self.observer: ObserverSource | None = None
+        self.context = context
+        observer = context.driver(Port(name, "delta"))
+        kind_of_observer = None if observer is None else context.spec(observer)
+        if observer is not None and isinstance(kind_of_observer, UnknownInputObserverKind):
+            self.observer = ObserverSource(observer, kind_of_observer, context)
+
+    @property
+    def window(self) -> float:
+        """How long the observer has no delta [s]."""
+        return 0.0 if self.observer is None else self.observer.reconstruction.window
+
+    def check_step(self) -> None:
+        """Refuse a communication step between whose ends an alpha is no straight line.
+
+        A signal that only the run computes is one.
+
+        Raises
+        ------
+        AssumptionError
+            If it is too long.
+        """
+        clock = self.context.clock
+        known = self.regression.known
+        if known.names:
+            check_step(known, known.names, start=clock.start_time, stop=clock.stop, h=clock.h)
+
+    def missing_model(self) -> str:
+        """Return why there is no model of y that output error can fit; empty: there is one."""
+        for alpha in signals_among(self.regression.alphas):
+            if alpha.lag > 0.0:
+                return (
+                    f"expected an alpha without lag, got {alpha.text!r} with a lag of "
+                    f'{alpha.lag:g} s; method = "least-squares" allows it'
+                )
+        if self.observer is None:
+            return (
+                "expected exactly one observer that drives the regressor; its design model is "
+                "the model of y"
+            )
+        if self.observer.kind.relinearize:
+            return (
+                f"{self.observer.name!r} is relinearized during the run, so y has no fixed model; "
+                'expected relinearize = false, or method = "least-squares"'
+            )
+        model = self.observer.design.model
+        n_d = model.reduced.C5.shape[1]
+        elements = len(self.regression.members)
+        if n_d == elements and not model.constant:
+            return ""
+        what = "a constant input"
+        if n_d != elements:
+            what = f"{n_d} unknown disturbances, the terms describe {elements} elements of delta"
+        return (
+            f"the design model of {self.observer.name!r} has {what}; expected terms for every "
+            'disturbance and no constant input, or method = "least-squares"'
+        )
+
+    # --- when it starts ---
+
+    def start_time(self, start: float | StartTable | None) -> float:
+        """Return the first communication point not before T_id, and record it.
+
+        A computed T_id (36)-(38) is counted from the start of the run.
+
+        Raises
+        ------
+        UsageError
+            If it is to be computed, and there is no observer to compute it from.
+        AssumptionError
+            If the regressor has no value there, or it is in no run.
+        """
+        clock = self.context.clock
+        if isinstance(start, float | int):
+            T_id = float(start)
+            elapsed_ns = T_id * 1e9 - clock.start_ns
+        else:
+            T_id = self._computed_start(start or DEFAULT_START)
+            elapsed_ns = T_id * 1e9
+        # Rounded to 1e-3 ns: a T_id on a communication point must not become the next point.
+        elapsed_ns = round(elapsed_ns, 3)
+        longest = max(self.regression.delays)
+        needed_ns = round((longest + self.window) * 1e9, 3)
+        needed = f"the longest delay, {longest} s"
+        if self.window:
+            needed += f" and the observer's window, {self.window} s"
+        of_alphas_ns = float(self.regression.constants.alphas.samples * clock.step_ns)
+        if of_alphas_ns > needed_ns:
+            needed_ns = of_alphas_ns
+            names = ", ".join(alpha.text for alpha in signals_among(self.regression.alphas))
+            needed = f"{needed_ns / 1e9:g} s, the longest delay and the lag of delta, for {names!r}"
+        if elapsed_ns < needed_ns:
+            raise AssumptionError(
+                f"start: expected at least {needed}, got {T_id} s; the regressor has no value so "
+                f"soon after the start of the run, {clock.start_time} s"
+            )
+        if not T_id <= LARGEST_NS / 1e9:
+            raise AssumptionError(
+                f"start: expected T_id within a run, got {T_id:g} s; if it is computed: increase "
+                "filter_rate, move the eigenvalues of the observer to the left, or increase the "
+                "fractions"
+            )
+        time = clock.grid.instant(math.ceil(elapsed_ns / clock.step_ns))
+        self.context.add_metadata(self.identifier, {"start_time": time})
+        return time
+
+    def _computed_start(self, start: StartTable) -> float:
+        """Compute T_id from the observer that drives the regressor [s], and record its parts."""
+        if self.observer is None:
+            raise UsageError(
+                "start: to compute T_id, exactly one observer must drive the regressor; "
+                "otherwise give start as a time [s]"
+            )
+        reconstruction = self.observer.reconstruction
+        filter_rate = None
+        if isinstance(reconstruction, FirstOrderFilter | ConsistentFilter):
+            filter_rate = reconstruction.rate
+        times = identification_start_time(
+            lambda_obs=self.observer.design.design.lambda_obs,
+            filter_rate=filter_rate,
+            window=reconstruction.window or None,
+            delays=self.regression.delays,
+            epsilon_observer=start.epsilon_observer,
+            epsilon_filter=start.epsilon_filter,
+        )
+        self.context.add_metadata(self.identifier, asdict(times))
+        return times.T_id
+
+    # --- samples of y ---
+
+    @property
+    def samplers(self) -> dict[str, HasSamples]:
+        """What drives the input with the samples of y."""
+        drivers = self.context.drivers(Port(self.identifier, "samples"))
+        return {name: kind for name, kind in drivers.items() if isinstance(kind, HasSamples)}
+
+    def most_samples(self) -> int:
+        """Return how many samples of y are taken in a step; 0: y at the communication points.
+
+        Raises
+        ------
+        UsageError
+            If y has values between samples, and these do not reach the identifier.
+        """
+        samplers = self.samplers.items()
+        most = [kind.most_in_a_step(name, self.context) for name, kind in samplers]
+        if any(most):
+            return max(most)
+        sampled = sampled_behind(Port(self.identifier, "y"), self.context)
+        if sampled is not None:
+            raise UsageError(
+                f"y is interpolated between the samples of {sampled!r}; expected y directly from "
+                "all outputs of one such component, or from sensors, with at most one scalar "
+                "gain, so that the samples themselves can be used"
+            )
+        return 0
+
+
+def sample_connections(
+    name: str,
+    connections: Mapping[Port, Connection],
+    implied: Mapping[Port, ImpliedConnection],
+    specs: Mapping[str, Kind],
+) -> dict[Port, ImpliedConnection]:
+    """Return the connections to the samples of what drives y, where it has any.
+
+    Those of several elements stand one element behind the other, as the elements do in y. Those
+    that have no time of their own are of the communication points. There are none where several
+    components have times of their own.
+    """
+    to = Port(name, "y")
+    y = connections.get(to)
+    origin: Port | None = to
+    if y is None and to in implied:
+        y = implied[to].connection
+        origin = implied[to].origin
+    if y is None or y.matrix.ndim:
+        return {}
+    sources = []
+    timed_by = None
+    for source in y.sources:
+        spec = specs.get(source.component)
+        signal = spec.samples_of(source.signal) if isinstance(spec, HasSamples) else None
+        if not isinstance(spec, HasSamples) or signal is None:
+            sources.append(source)
+            continue
+        is_alone = all(other.component == source.component for other in y.sources)
+        if not spec.samples_at_points and (source.element is not None or not is_alone):
+            return {}
+        sources.append(replace(source, signal=signal))
+        timed_by = source.component
+    if timed_by is None:
+        return {}
+    samples = Connection(sources, y.gain, y.offset, y.unit)
+    times = Connection(Port(timed_by, SAMPLE_TIMES))
+    return {
+        Port(name, "samples"): ImpliedConnection(samples, origin),
+        Port(name, SAMPLE_TIMES): ImpliedConnection(times, origin),
+    }
+
+
+def sampled_behind(to: Port, context: BuildContext) -> str | None:
+    """Return the field data that an input follows, or a sensor with samples that drives it.
+
+    None: there is none.
+    """
+    for name, kind in context.behind(to).items():
+        if kind.is_recorded and isinstance(kind, HasSamples) and not kind.samples_at_points:
+            return name
+    for name, kind in context.drivers(to).items():
+        if isinstance(kind, HasSamples) and kind.most_in_a_step(name, context):
+            return name
+    return None
+
+
+# --- the model of y, and its data ---
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -118,16 +414,6 @@ class IdentifiedPlant:
         """The number of theta."""
         return sum(len(family.parameters) for family in self.families)
 
-    @property
-    def limits(self) -> tuple[Vector, Vector]:
-        """The bounds of theta as vectors, infinite where there is none, shape (P,)."""
-        lower = np.full(self.parameters, -np.inf)
-        upper = np.full(self.parameters, np.inf)
-        for j, (low, high) in self.bounds.items():
-            lower[j] = low
-            upper[j] = high
-        return lower, upper
-
     def alpha(self, t: Vector) -> Matrix:
         """Return the known factors at any instants ``(N,)`` [s], shape ``(N, components)``.
 
@@ -138,7 +424,7 @@ class IdentifiedPlant:
         """
         for signal in signals_among(self.alphas):
             raise AssumptionError(f"alpha {signal.text!r} is a signal, known only during the run")
-        return self.alpha_at(t, t, np.zeros((len(t), 0)))
+        return self.alpha_at(t, t, NO_SIGNALS)
 
     def alpha_at(self, t: Vector, points: Vector, signals: Matrix) -> Matrix:
         """Return the known factors at instants, those that are signals by interpolation.
@@ -164,14 +450,23 @@ class IdentifiedPlant:
             data, self.plant, self.families, self.stated, self.offset, self.bounds
         )
 
+    @property
+    def ports(self) -> dict[str, Port]:
+        """What the observer takes in, y and u, and the signals among the alphas, as ``alpha``."""
+        ports = {"y": Port(self.observer, "y")}
+        if self.plant.D.shape[1]:
+            ports["u"] = Port(self.observer, "u")
+        if signals_among(self.alphas):
+            ports["alpha"] = Port(self.regressor, "alpha")
+        return ports
+
+    def recorded(self, run: Recording) -> tuple[Vector, dict[str, Matrix]]:
+        """Return what :meth:`data_set` takes from a recording: instants, and rows by port."""
+        t = seconds(run.time_ns(self.observer))
+        return t, {name: as_columns(run[port]) for name, port in self.ports.items()}
+
     def data_set(
-        self,
-        graph: Graph,
-        t: Vector,
-        y: Matrix,
-        u: Matrix,
-        signals: Matrix,
-        samples: SampleRows | None = None,
+        self, graph: Graph, t: Vector, rows: Mapping[str, Matrix], samples: SampleRows | None = None
     ) -> DataSet:
         """Return what the observer took in as the data of output error.
 
@@ -180,10 +475,8 @@ class IdentifiedPlant:
         graph : Graph
             That it was in: which of u had a zero-order hold, and which depend on y.
         t : Vector, shape (N,)
-        y : Matrix, shape (N, n_y)
-        u : Matrix, shape (N, n_u)
-        signals : Matrix, shape (N, signals)
-            Those among the alphas.
+        rows : mapping of name to Matrix, shape (N, size)
+            As of :attr:`ports`.
         samples : SampleRows, optional
             What counts in the place of y.
 
@@ -195,9 +488,11 @@ class IdentifiedPlant:
         inputs = graph.layout[self.observer].interface.input_columns()
         held = graph.held[self.observer][inputs.get("u", slice(0, 0))]
         points = t
+        y = rows["y"]
+        u = rows.get("u", np.zeros((len(t), 0)))
         if samples is not None:
             t, y, u = samples.beside(t, u, held, y.shape[1])
-        alpha = self.alpha_at(t, points, signals)
+        alpha = self.alpha_at(t, points, rows.get("alpha", NO_SIGNALS))
         self.check_alphas(t, alpha)
         in_feedback = inputs_in_feedback(graph, self.observer) | self.closed_loop
         return DataSet(t, y, u, alpha, held, np.isin(t, points), in_feedback)
@@ -248,6 +543,26 @@ class SampleRows:
         return times[is_there], values[is_there]
 
 
+def inputs_in_feedback(graph: Graph, observer: str) -> Mask:
+    """Return which elements of an observer's u depend on what drives its y, shape (n_u,)."""
+    u = graph.layout[observer].interface.input_columns().get("u", slice(0, 0))
+    in_feedback = np.zeros(u.stop - u.start, np.bool_)
+    drives: defaultdict[str, set[str]] = defaultdict(set)
+    for to, connection in graph.connections.items():
+        for source in connection.sources:
+            drives[source.component].add(to.component)
+    front = components_driving(graph.connections, Port(observer, "y"))
+    dependent = reached_from(set().union(*(drives[name] for name in front)), drives)
+    for to, connection in graph.connections.items():
+        follows_y = any(source.component in dependent for source in connection.sources)
+        if follows_y and to.whole == Port(observer, "u"):
+            in_feedback[graph.ports.input(to).elements] = True
+    return in_feedback
+
+
+# --- what the tables say of theta, and of the noise ---
+
+
 def bounds_of(rows: object, parameters: int) -> dict[int, tuple[float, float]]:
     """Return bounds of theta by index.
 
@@ -277,25 +592,19 @@ def bounds_of(rows: object, parameters: int) -> dict[int, tuple[float, float]]:
 
 
 def _bounds_of_one(row: object, j: int) -> tuple[float, float]:
-    if not isinstance(row, list | tuple) or len(row) != 2 or not all(map(_is_number, row)):
+    try:
+        lower, upper = _INTERVAL.validate_python(row)
+    except ValidationError as error:
         raise UsageError(
             f"bounds of theta[{j}]: expected two numbers, [lower, upper], inf where there is "
             f"none, such as [-1, inf], got {row}"
-        )
-    lower, upper = map(float, row)
+        ) from error
     if not lower <= upper or lower == np.inf or upper == -np.inf:
         raise UsageError(
             f"bounds of theta[{j}]: expected lower <= upper with numbers between them, -inf or "
             f"inf where there is no bound, got [{lower:g}, {upper:g}]"
         )
     return lower, upper
-
-
-def _is_number(value: object) -> bool:
-    """Return whether a value is one of a double: not NaN, nor an integer that is too large."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    return abs(value) <= sys.float_info.max or abs(value) == math.inf
 
 
 def stated_covariance(
@@ -313,15 +622,7 @@ def stated_covariance(
     if deviation is not None and covariance is not None:
         raise UsageError("expected at most one of deviation and covariance, got both")
     if deviation is not None:
-        deviations = np.array(deviation, np.float64)
-        if deviations.ndim and deviations.shape != (outputs,):
-            raise UsageError(
-                f"deviation: expected one number, or one per output ({outputs}), got "
-                f"{deviations.size}"
-            )
-        if not ((deviations > 0.0) & (deviations < np.inf)).all():
-            raise UsageError(f"deviation: expected positive finite numbers, got {deviation}")
-        return np.diag(np.broadcast_to(deviations, outputs) ** 2)
+        return diagonal_covariance("deviation", deviation, outputs)
     if covariance is None:
         return None
     if any(len(row) != outputs for row in covariance) or len(covariance) != outputs:
@@ -337,260 +638,31 @@ def stated_covariance(
     return matrix
 
 
-# --- verdicts ---
-
-
-class Assessor:
-    """Keeps what verdicts need of the rows of a run.
+def diagonal_covariance(source: str, deviations: object, outputs: int) -> Matrix:
+    """Return the covariance of independent noise, shape (outputs, outputs).
 
     Parameters
     ----------
-    graph : Graph
-    identified : mapping of identifier to IdentifiedPlant
+    source : str
+        Where the deviations are from, for messages.
+    deviations : object
+        One number, or one per output.
+    outputs : int
+
+    Raises
+    ------
+    UsageError
+        If they are not that, or not positive.
     """
-
-    def __init__(self, graph: Graph, identified: Mapping[str, IdentifiedPlant]) -> None:
-        self._identifiers = {
-            name: _IdentifierData(graph, name, one) for name, one in identified.items()
-        }
-
-    def take(self, block: Block, signals: Matrix) -> None:
-        """Keep the rows of a block."""
-        for data in self._identifiers.values():
-            data.take(block, signals)
-
-    def results(self) -> dict[str, Any]:
-        """Return the verdicts by identifier, as plain values."""
-        return {name: data.verdicts().to_dict() for name, data in self._identifiers.items()}
-
-
-class _IdentifierData:
-    """The data of one identifier: y and u of its observer, the alphas, its last estimate."""
-
-    def __init__(self, graph: Graph, name: str, identified: IdentifiedPlant) -> None:
-        own = graph.layout[name].signal_columns
-        of_observer = graph.layout[identified.observer].signal_columns
-        none = slice(0, 0)
-        self._identified = identified
-        self._theta = own.get("theta", none)  # there is none without parameters
-        self._error = own.get("standard_error")
-        self._kept = {
-            "y": of_observer["y"],
-            "u": of_observer.get("u", none),
-            "alpha": graph.layout[identified.regressor].signal_columns.get("alpha", none),
-        }
-        if "samples" in own:
-            self._kept |= {key: own[key] for key in ("sample_times", "samples")}
-        self._graph = graph
-        self._times: list[Vector] = []
-        self._rows: dict[str, list[Matrix]] = {key: [] for key in self._kept}
-        self._last = np.zeros(0)
-
-    def take(self, block: Block, signals: Matrix) -> None:
-        """Keep the rows of a block."""
-        first = 1 if self._times else 0
-        self._times.append(block.time[first:].copy())
-        for key, columns in self._kept.items():
-            self._rows[key].append(signals[first:, columns].copy())
-        self._last = signals[-1].copy()
-
-    def verdicts(self) -> IdentifierVerdicts:
-        """Return the verdicts on the last estimate, or why there are none."""
-        if not self._times:
-            return IdentifierVerdicts(problem="the run ended before there were data")
-        if self._identified.problem:
-            return IdentifierVerdicts(problem=self._identified.problem)
-        try:
-            return self._assessed()
-        except (AssumptionError, np.linalg.LinAlgError) as error:
-            return IdentifierVerdicts(problem=str(error))
-
-    def _assessed(self) -> IdentifierVerdicts:
-        identified = self._identified
-        t = np.concatenate(self._times)
-        rows = {key: np.concatenate(parts) for key, parts in self._rows.items()}
-        samples = None
-        if "samples" in rows:
-            samples = SampleRows(t, rows["sample_times"], rows["samples"])
-        data = identified.data_set(self._graph, t, rows["y"], rows["u"], rows["alpha"], samples)
-        theta = self._last[self._theta]
-        fitted = assess(identified.problem_of([data.last(identified.window)]), theta)
-        assessment = advised(fitted, [identified.alpha])
-        amplitudes = amplitude_verdicts(assessment)
-        with_offset = "`offset = true`" if identified.has_offset_key else IDENTIFY_WITH_OFFSET
-        error = None if self._error is None else self._last[self._error]
-        bound = identified.irregular
-        return replace(
-            verdicts_of(assessment),
-            extent=identified.extent,
-            amplitudes=amplitudes,
-            undetected=undetected_errors(assessment, amplitudes, with_offset=with_offset),
-            estimate=judge(assessment, theta, error),
-            irregular=None if bound is None else _irregular(assessment, bound),
-        )
-
-
-def verdicts_of(assessment: Assessment) -> IdentifierVerdicts:
-    """Return what a fit by output error says of theta, and of the noise."""
-    return IdentifierVerdicts(**assessment.to_dict() | {"parameters": assessment.parameters})
-
-
-def _irregular(assessment: Assessment, bound: float) -> IrregularPart:
-    """Return what an irregular part within its bound leaves open, or why that is not known."""
-    from cosim.theory.bounded.irregular_part import Programs  # rarely needed
-
     try:
-        interval = interval_of(assessment, bound, Programs.BEYOND_FIRST_ORDER)
-    except (AssumptionError, RunError) as error:
-        return IrregularPart(bound, problem=str(error))
-    return irregular_part(bound, interval)
-
-
-def irregular_part(bound: float, interval: GuaranteedInterval) -> IrregularPart:
-    """Return what an interval that is guaranteed for a bound says of every theta."""
-    effects = []
-    for j, half_width in enumerate(interval.half_width.tolist()):
-        lower = float(interval.lower[j])
-        upper = float(interval.upper[j])
-        effects.append(
-            IrregularEffect(
-                name=f"theta[{j}]",
-                first_order=half_width,
-                holds=bool(interval.first_order_holds[j]),
-                is_explained=not (np.isnan(lower) or np.isnan(upper)),
-                lower=lower if np.isfinite(lower) else None,
-                upper=upper if np.isfinite(upper) else None,
-            )
+        row = np.array(deviations, np.float64)
+        is_row = row.ndim < 2 and bool(((row > 0.0) & (row < np.inf)).all())
+    except (TypeError, ValueError):
+        is_row = False
+    if not is_row:
+        raise UsageError(f"{source}: expected positive finite numbers, got {quoted(deviations)}")
+    if row.ndim and len(row) != outputs:
+        raise UsageError(
+            f"{source}: expected one number, or one per output ({outputs}), got {len(row)}"
         )
-    return IrregularPart(
-        bound=bound,
-        effects=tuple(effects),
-        confidence=interval.confidence,
-        unsolved=0 if interval.feasible is None else interval.feasible.unsolved,
-    )
-
-
-def interval_of(
-    assessment: Assessment, bound: float, programs: Programs, watch: Watch | None = None
-) -> GuaranteedInterval:
-    """Return which theta data allow if an irregular part of delta is within a bound.
-
-    Where the noise of y is not stated it is as large as the residual, which holds the irregular
-    part too; errors of step and quantization are allowed for.
-
-    Parameters
-    ----------
-    assessment : Assessment
-        Of one data set.
-    bound : float
-        Of the irregular part, ``|delta_0| <= bound``.
-    programs : Programs
-        When linear programs are solved.
-    watch : callable, optional
-        Is told after every linear program how many have been solved.
-
-    Raises
-    ------
-    AssumptionError
-        If not every theta was estimated, samples are missing or at unequal distances, or the plant
-        is unstable.
-    """
-    from cosim.theory.bounded.irregular_part import guaranteed_interval  # rarely needed
-
-    problem = assessment.problem
-    estimated = assessment.fit.estimated
-    if not estimated.all():
-        missing = ", ".join(f"theta[{j}]" for j in np.flatnonzero(~estimated))
-        raise AssumptionError(
-            f"{missing} was not estimated; bounding theta for an irregular part of the "
-            "disturbance takes an estimate of every theta"
-        )
-    accuracy = assessment.consistency.accuracy[0]
-    sampling_error = float(np.abs(accuracy.step).max()) + 0.5 * float(accuracy.spacing.max())
-    outputs = accuracy.step.shape[1]
-    sigma = _largest_deviations(assessment)
-    if problem.stated is not None:
-        sigma = np.sqrt(np.diag(problem.stated))
-    return guaranteed_interval(
-        problem.data[0],
-        problem.plant,
-        problem.families,
-        assessment.fit,
-        bound=bound,
-        sigma=sigma,
-        sampling_error=sampling_error,
-        noise=NoiseModel(covariance=assessment.noise.covariance, a=np.zeros((outputs, 0))),
-        programs=programs,
-        watch=watch,
-    )
-
-
-def _largest_deviations(assessment: Assessment) -> Vector:
-    """Return deviations of white noise whose means are as large as those of each residual.
-
-    Of colored noise that is the one at the frequency where its spectrum is largest.
-    """
-    noise = assessment.noise
-    if assessment.consistency.is_exact:
-        return np.zeros(len(noise.a))
-    frequencies = np.linspace(0.0, np.pi, FREQUENCIES)
-    lags = np.arange(1, noise.order + 1)
-    waves = np.exp(-1j * np.outer(frequencies, lags))
-    gains = 1.0 / np.abs(1.0 - waves @ noise.a.T)
-    return np.asarray(assessment.deviations * gains.max(axis=0), np.float64)
-
-
-def residual_noise(t: Vector, residual: Vector) -> tuple[str, float, float]:
-    """Test samples of a residual, shape (N,), at ascending instants t [s].
-
-    Returns
-    -------
-    problem : str
-        Why it is not what noise leaves; empty: it is.
-    power : float
-        The largest power of the noise at a frequency, over its mean; 1: it is white.
-    freedom : float
-        Degrees of freedom of that power.
-
-    Raises
-    ------
-    AssumptionError
-        If there are hardly any.
-    """
-    samples = len(residual)
-    from cosim.theory.assessment.noise_color import largest_power  # rarely needed
-
-    data = DataSet(t, residual[:, np.newaxis], np.zeros((samples, 0)), np.zeros((samples, 1)))
-    nothing = np.zeros((0, 0))
-    plant = DisturbedPlant(
-        A=nothing,
-        B=nothing,
-        Bd=np.zeros((0, 1)),
-        C=np.zeros((1, 0)),
-        D=np.zeros((1, 0)),
-        Dd=np.ones((1, 1)),
-    )
-    found = assess(OutputErrorProblem([data], plant, [Polynomial(0)]), None)
-    problem = "" if found.consistency.passed else found.consistency.contradiction
-    power = largest_power(found.noise.a[0])
-    return problem.replace(" in y[0]", ""), power, found.noise.freedom
-
-
-def inputs_in_feedback(graph: Graph, observer: str) -> Mask:
-    """Return which elements of an observer's u depend on what drives its y, shape (n_u,)."""
-    u = graph.layout[observer].interface.input_columns().get("u", slice(0, 0))
-    in_feedback = np.zeros(u.stop - u.start, np.bool_)
-    drives: defaultdict[str, set[str]] = defaultdict(set)
-    front: set[str] = set()
-    for to, connection in graph.connections.items():
-        sources = {source.component for source in connection.sources}
-        if (to.component, to.signal) == (observer, "y"):
-            front |= sources
-        for source in sources:
-            drives[source].add(to.component)
-    dependent = reached_from(set().union(*(drives[name] for name in front)), drives)
-    for to, connection in graph.connections.items():
-        follows_y = any(source.component in dependent for source in connection.sources)
-        if follows_y and (to.component, to.signal) == (observer, "u"):
-            in_feedback[graph.ports.input(Port(observer, "u", to.element)).elements] = True
-    return in_feedback
+    return np.diag(np.broadcast_to(row, outputs) ** 2)

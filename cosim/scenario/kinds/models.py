@@ -6,9 +6,12 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Final
 
+import numpy as np
+
 from cosim.arrays import Matrix
 from cosim.errors import AssumptionError, UsageError
-from cosim.scenario.document.schema import ModelTable, matrix
+from cosim.scenario.document.problems import TableProblems
+from cosim.scenario.document.schema import ModelTable
 from cosim.theory.plants.descriptor import DescriptorSystem
 from cosim.theory.plants.foreign_model import disturbance_columns, state_space_matrices
 
@@ -27,40 +30,33 @@ COLUMNS_OF: Final = MappingProxyType(
 SPLIT_B: Final = ("Bu", "Bd", "Du", "Dd")
 
 
-def form_problems(table: ModelTable) -> Iterator[tuple[str, str]]:
-    """Yield what is wrong with the keys of a model: the key, "" for the table, and the problem."""
-    given = [name for name in (*LETTERS, "disturbances") if getattr(table, name) is not None]
-    if table.file is not None:
-        for name in given:
-            if name != "disturbances":
-                yield name, "not allowed with file; give all matrices in one of them"
-        if table.n_a is not None:
-            yield "n_a", "not allowed with file, which has the general form"
-        return
-    for name in LETTERS:
-        try:
-            _rows(table, name)
-        except ValueError as error:
-            yield name, str(error).removeprefix(f"{name}: ")
-    if table.n_a is not None:
-        yield from _problems_of_partitioned(given)
-        return
-    yield from _problems_of_general(given)
-    if table.B is not None:
-        columns = max(map(len, table.B), default=0)
-        yield from _problems_of_columns(table.disturbances or (), columns)
-
-
-def _rows(table: ModelTable, name: str) -> Matrix | None:
-    """Return a matrix of a table; None: it has none.
+def check_form(table: ModelTable) -> None:
+    """Check that the keys of a model make up one of its forms.
 
     Raises
     ------
-    ValueError
-        If its rows have different lengths.
+    TableProblems
+        If they do not.
     """
-    rows = getattr(table, name)
-    return None if rows is None else matrix(rows, name)
+    given = [name for name in (*LETTERS, "disturbances") if getattr(table, name) is not None]
+    if table.n_a is not None and table.file is None:
+        _refuse(_problems_of_partitioned(given))
+    elif table.file is None:
+        columns = None if table.B is None else len(table.B[0])
+        _refuse(_problems_of_general(given, table.disturbances or (), columns))
+    else:
+        text = "not allowed with file; give all matrices in one of them"
+        problems = [(name, text) for name in given if name != "disturbances"]
+        if table.n_a is not None:
+            problems.append(("n_a", "not allowed with file, which has the general form"))
+        _refuse(problems)
+
+
+def _refuse(problems: Iterable[tuple[str, str]]) -> None:
+    """Raise the problems of a table: the key, "" for the table, and the problem."""
+    found = [((key,) if key else (), text) for key, text in problems]
+    if found:
+        raise TableProblems(found)
 
 
 def _problems_of_partitioned(given: Sequence[str]) -> Iterator[tuple[str, str]]:
@@ -76,7 +72,10 @@ def _problems_of_partitioned(given: Sequence[str]) -> Iterator[tuple[str, str]]:
             yield name, text
 
 
-def _problems_of_general(given: Sequence[str]) -> Iterator[tuple[str, str]]:
+def _problems_of_general(
+    given: Sequence[str], unknown: Sequence[int], columns: int | None
+) -> Iterator[tuple[str, str]]:
+    """Yield what is wrong with the general form; ``columns`` are those of B, where there is one."""
     for name in ("A", "C"):
         if name not in given:
             yield "", f"'{name}' is missing; expected A and C (optional: E, B or Bu and Bd, D)"
@@ -84,64 +83,43 @@ def _problems_of_general(given: Sequence[str]) -> Iterator[tuple[str, str]]:
     if "B" in given and split:
         cure = f"remove {', '.join(split)}, or split B"
         yield split[0], f"not allowed with B; expected B and D, or Bu, Bd, Du and Dd: {cure}"
-        return
-    yield from _problems_without_B(given)
+    else:
+        for name, (B, expected) in COLUMNS_OF.items():
+            if name in given and B not in given:
+                yield name, f"not allowed without {B}; expected {expected}"
+    if columns is not None:
+        for column in unknown:
+            if not 0 <= column < columns:
+                yield "disturbances", f"expected a column of B, 0 to {columns - 1}, got {column}"
+        if len(set(unknown)) < len(unknown):
+            yield "disturbances", f"expected each column once, got {list(unknown)}"
 
 
-def _problems_without_B(given: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Yield the keys that are of columns of B, Bu or Bd which are not there."""
-    for name, (B, expected) in COLUMNS_OF.items():
-        if name in given and B not in given:
-            yield name, f"not allowed without {B}; expected {expected}"
-
-
-def _problems_of_columns(unknown: Sequence[int], columns: int) -> Iterator[tuple[str, str]]:
-    for column in unknown:
-        if not 0 <= column < columns:
-            yield "disturbances", f"expected a column of B, 0 to {columns - 1}, got {column}"
-    if len(set(unknown)) < len(unknown):
-        yield "disturbances", f"expected each column once, got {list(unknown)}"
-
-
-def system_of(table: ModelTable) -> DescriptorSystem:
-    """Build the descriptor system of a table that has its matrices.
+def system_of(table: ModelTable, content: Mapping[str, Matrix] | None = None) -> DescriptorSystem:
+    """Build the descriptor system of a table, by its form or by the content of its file.
 
     Raises
     ------
     UsageError
-        If its keys do not make up a form.
+        If the content of the file does not make up a form.
     AssumptionError
-        If its matrices do not fit together.
+        If the matrices do not fit together.
     """
-    _check(form_problems(table))
+    unknown = table.disturbances or ()
+    if content is not None:
+        given = [*content, *(["disturbances"] if table.disturbances is not None else ())]
+        columns = content["B"].shape[1] if "B" in content else None
+        for key, text in _problems_of_general(given, unknown, columns):
+            raise UsageError(f"{key}: {text}" if key else text)
+        return _general_system(content, unknown)
     matrices: dict[str, Matrix] = {}
     for letter in LETTERS:
-        rows = _rows(table, letter)
+        rows = getattr(table, letter)
         if rows is not None:
-            matrices[letter] = rows
+            matrices[letter] = np.array(rows)
     if table.n_a is not None:
         return DescriptorSystem.partitioned(n_a=table.n_a, **matrices)
-    return general_system(matrices, table.disturbances or ())
-
-
-def system_of_file(table: ModelTable, matrices: Mapping[str, Matrix]) -> DescriptorSystem:
-    """Build the descriptor system of a table whose matrices are in a file.
-
-    Raises
-    ------
-    UsageError
-        If these do not make up a form.
-    AssumptionError
-        If they do not fit together.
-    """
-    given = list(matrices)
-    if table.disturbances is not None:
-        given.append("disturbances")
-    _check(_problems_of_general(given))
-    unknown = table.disturbances or ()
-    if "B" in matrices:
-        _check(_problems_of_columns(unknown, matrices["B"].shape[1]))
-    return general_system(matrices, unknown)
+    return _general_system(matrices, unknown)
 
 
 def model_table(
@@ -179,12 +157,7 @@ def model_table(
     return table
 
 
-def _check(problems: Iterable[tuple[str, str]]) -> None:
-    for key, text in problems:
-        raise UsageError(f"{key}: {text}" if key else text)
-
-
-def general_system(
+def _general_system(
     matrices: Mapping[str, Matrix], disturbances: tuple[int, ...]
 ) -> DescriptorSystem:
     """Build a system of the general form.

@@ -6,12 +6,13 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
 from cosim.arrays import Matrix, Vector
+from cosim.blocks.measurement import per_element
 from cosim.blocks.observer import averaged_observer, observer_model
 from cosim.blocks.plant import initial_vector
 from cosim.core.clock import whole_steps
@@ -27,27 +28,29 @@ from cosim.scenario.document.schema import (
     PoleRow,
     TomlTable,
     Whole,
-    matrix,
+    array_of,
 )
 from cosim.scenario.kinds.base import BuildContext, ExportableKind, LinearNearStart, Wiring
-from cosim.scenario.kinds.capabilities import Advising, DecidedByStep, HasGivenStates
-from cosim.scenario.kinds.initial_states import GivenStates
-from cosim.scenario.kinds.linearizing import DesignModel, MovingModel, design_model, split
-from cosim.scenario.kinds.plants import StartFields, check_foreign_initial
-from cosim.scenario.kinds.reconstruction import (
+from cosim.scenario.kinds.capabilities import Advising, DecidedByStep, GivenStates, HasGivenStates
+from cosim.scenario.kinds.observer_design import (
     DEFAULT_ORDER,
     FILTERS,
     AnyReconstruction,
     AveragedReconstruction,
+    DesignModel,
     FilterName,
+    MovingModel,
     averaging_kernel,
     averaging_observer,
     choice,
+    design_model,
     noise_gains,
     numbers_hash,
     plain_reconstruction,
     recorded_noise,
+    split,
 )
+from cosim.scenario.kinds.plants import StartFields, initial_in_form
 from cosim.scenario.kinds.values import LinearSystem, Spectrum
 from cosim.scenario.kinds.variants import foreign_keys, variants_with
 from cosim.theory.observers import observer
@@ -69,6 +72,7 @@ if TYPE_CHECKING:
 
 # filter_rate x step above which a zero-order hold distorts the derivative by more than 2.5 %
 HOLD_LIMIT = 0.05
+Deviation = Annotated[Number, Field(ge=0.0)]
 
 
 class FmuModel(TomlTable):
@@ -158,7 +162,7 @@ class UnknownInputObserverKind(
         None,
         description=f"order of its polynomial, at most {HIGHEST_ORDER}; default: {DEFAULT_ORDER}",
     )
-    noise: Number | NumberRow | None = Field(
+    noise: Deviation | tuple[Deviation, ...] | None = Field(
         None, description="auto: standard deviation of the noise of y, one number or one per output"
     )
     noise_from: str | None = Field(
@@ -314,14 +318,12 @@ class UnknownInputObserverKind(
         """
         model = self.model if isinstance(self.model, str) else self.model.fmu
         coordinates = reduced.coordinates
-        if coordinates is None:
-            check_foreign_initial(model, "x0", self.x0)
-            return None if self.x_a0 is None else np.array(self.x_a0, np.float64)
-        check_foreign_initial(model, "x_a0", self.x_a0)
-        if self.x0 is None:
-            return None
+        is_general = coordinates is not None
+        given = initial_in_form(model, is_general=is_general, x0=self.x0, x_a0=self.x_a0)
+        if given is None or coordinates is None:
+            return None if given is None else np.array(given, np.float64)
         n = len(coordinates.X)
-        return np.asarray(coordinates.R @ initial_vector("x0", self.x0, n, "one number per state"))
+        return np.asarray(coordinates.R @ initial_vector("x0", given, n, "one number per state"))
 
     # --- reconstruction of delta ---
 
@@ -397,7 +399,7 @@ class UnknownInputObserverKind(
             )
         model = self.design_model_of(name, context)
         n_y = len(model.reduced.C3)
-        given = self._given_noise(n_y)
+        given = None if self.noise is None else per_element("noise", self.noise, n_y)
         spectrum = self._spectrum(name, context)
         request = {
             "noise": self.noise,
@@ -411,8 +413,8 @@ class UnknownInputObserverKind(
 
         def choose() -> dict[str, Any]:
             noise = given
-            if self.noise_from is not None:
-                noise = recorded_noise(context.recording(self.noise_from), name, n_y)
+            if noise is None:
+                noise = recorded_noise(context.recording(str(self.noise_from)), name, n_y)
             return choice(self.design(name, context).design.G, noise, spectrum, context.h)
 
         plain_request = json.loads(json.dumps(request))
@@ -421,18 +423,6 @@ class UnknownInputObserverKind(
             return SavitzkyGolay(result["half_width_steps"], result["order"], context.h)
         except AssumptionError as error:
             raise LogError(f"the recorded choice of {name!r} cannot be used: {error}") from error
-
-    def _given_noise(self, n_y: int) -> Vector:
-        """Return the deviation of the noise of each element of y; none where a log has it."""
-        if self.noise is None:
-            return np.zeros(0)
-        given = self.noise if isinstance(self.noise, tuple) else (self.noise,) * n_y
-        noise = np.array(given, np.float64)
-        if len(noise) != n_y:
-            raise UsageError(f"noise: expected {n_y} numbers, one per output, got {len(noise)}")
-        if (noise < 0.0).any():
-            raise UsageError(f"noise: expected standard deviations >= 0, got {noise.tolist()}")
-        return noise
 
     def _numbers(self, model: DesignModel, context: BuildContext) -> tuple[Matrix, ...]:
         """Return the numbers of the design model, as they are written or recorded."""
@@ -462,12 +452,10 @@ class UnknownInputObserverKind(
             bandwidth=fastest.bandwidth if bandwidth is None else bandwidth,
         )
 
-    def advice(
-        self, name: str, context: BuildContext, *, held: Mapping[str, bool], h: float
-    ) -> list[str]:
+    def advice(self, name: str, context: BuildContext, held: Mapping[str, bool]) -> list[str]:
         if self.filter != "first-order" or self.filter_rate is None:
             return []
-        product = self.filter_rate * h
+        product = self.filter_rate * context.h
         if product <= HOLD_LIMIT:
             return []
         model = self.linear_model(name, context)
@@ -511,8 +499,8 @@ class UnknownInputObserverKind(
         """
         L = None
         if self.L is not None:
-            rows = tuple(row if isinstance(row, tuple) else (row,) for row in self.L)
-            L = matrix(rows, "L")
+            L = array_of(self.L, "L")
+            L = L if L.ndim == 2 else L[:, np.newaxis]
             if reduced.coordinates is not None:
                 needed = (len(reduced.coordinates.X), len(reduced.C3))
                 if L.shape != needed:
@@ -535,16 +523,9 @@ class UnknownInputObserverKind(
         if isinstance(model, str):
             return DesignModel(reduce(context.model(model)))
         linearization = context.linearization(name, model.fmu, model.request)
-        designed = design_model(linearization, model.disturbances)
-        units = dict(designed.units)
-        for port, signal in context.recorded_signals(name).items():
-            # logs of before elements had units of their own keep their signals
-            if signal.unit is None and len(set(units.get(port, ()))) > 1:
-                units.pop(port)
-        return designed._replace(units=units)
+        return design_model(linearization, model.disturbances)
 
 
 def _lagging_outputs(model: DesignModel) -> tuple[str, ...]:
     """Return the outputs that lag by as much as the reconstruction of delta does."""
-    lagging = {state.name for state in observer.lagging_states(model.reduced)}
-    return ("delta", *(output for output in ("x_b", "x") if output in lagging))
+    return ("delta", *(state.name for state in observer.lagging_states(model.reduced)))

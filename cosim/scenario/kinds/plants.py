@@ -17,14 +17,14 @@ from cosim.fmi.driving.solvers import SOLVERS, STEPPING
 from cosim.instants import NANOSECONDS, Grid
 from cosim.scenario.document.schema import Flag, Number, NumberRow, Whole
 from cosim.scenario.kinds.base import BuildContext, Kind, LinearKind, LinearNearStart, PeriodicKind
-from cosim.scenario.kinds.capabilities import HasDescription, HasGivenStates
-from cosim.scenario.kinds.initial_states import GivenStates
+from cosim.scenario.kinds.capabilities import GivenStates, HasDescription, HasGivenStates
 from cosim.scenario.kinds.values import LinearSystem, Sampling, StepDependence
 from cosim.scenario.record import component_record
 from cosim.theory.plants.descriptor import DescriptorSystem, reduce
 
 if TYPE_CHECKING:
     from cosim.fmi.description import Description, InterfaceType
+    from cosim.fmi.generated import GeneratedInstance
 
 Scalar = Flag | Whole | Number | StrictStr
 StartField = Scalar | list[Scalar] | list[list[Scalar]] | list[list[list[Scalar]]]
@@ -36,10 +36,9 @@ def _dotted(value: Any) -> Any:
         return value
     names: dict[Any, Any] = {}
     for name, inner in value.items():
-        inside = _dotted(inner)
         found = {name: inner}
-        if isinstance(inside, dict) and inside:
-            found = {f"{name}.{part}": entry for part, entry in inside.items()}
+        if isinstance(inner, dict) and inner:
+            found = {f"{name}.{part}": entry for part, entry in _dotted(inner).items()}
         twice = names.keys() & found
         if twice:
             raise ValueError(f"{min(twice)!r} is given twice, with dots and in quotes")
@@ -81,24 +80,24 @@ class DescriptorKind(PlantKind, LinearKind, HasDescription, HasGivenStates):
 
     def build(self, name: str, context: BuildContext) -> Component:
         from cosim.fmi.driving.model_exchange import ModelExchange
-        from cosim.fmi.generated import GeneratedInstance
 
         if self.solver not in SOLVERS:
             raise UsageError(f"unknown solver {self.solver!r}; {nearest(self.solver, SOLVERS)}")
-        instance = GeneratedInstance.of(self.linear_model(name, context), name)
+        component = ModelExchange(self._instance(name, context), solver=self.solver)
         inaccuracy = reduce(context.model(self.model)).inaccuracy
         if inaccuracy:
             context.warn(name, inaccuracy)
-        component = ModelExchange(instance, solver=self.solver)
         context.add_metadata(name, component.metadata)
         context.model_exchange[name] = component
         return component
 
     def description(self, name: str, context: BuildContext) -> tuple[InterfaceType, Description]:
+        return "me", self._instance(name, context).description
+
+    def _instance(self, name: str, context: BuildContext) -> GeneratedInstance:
         from cosim.fmi.generated import GeneratedInstance
 
-        instance = GeneratedInstance.of(self.linear_model(name, context), name)
-        return "me", instance.description
+        return GeneratedInstance.of(self.linear_model(name, context), name)
 
     def linear_model(self, name: str, context: BuildContext) -> LinearModel:
         system = context.model(self.model)
@@ -117,21 +116,12 @@ class DescriptorKind(PlantKind, LinearKind, HasDescription, HasGivenStates):
         return GivenStates(np.array(self._initial(system), np.float64), coordinates)
 
     def _initial(self, system: DescriptorSystem) -> NumberRow:
-        """Return the initial states that the form of the model needs.
-
-        Raises
-        ------
-        UsageError
-            If they are missing, or those of the other form are there.
-        """
-        general = system.n_a is None
-        values = self.x0 if general else self.x_a0
-        if general:
-            check_foreign_initial(self.model, "x_a0", self.x_a0)
-        else:
-            check_foreign_initial(self.model, "x0", self.x0)
+        """Return the initial states; raise UsageError if they are missing, or of another form."""
+        values = initial_in_form(
+            self.model, is_general=system.n_a is None, x0=self.x0, x_a0=self.x_a0
+        )
         if values is None:
-            key = "x0" if general else "x_a0"
+            key = "x0" if system.n_a is None else "x_a0"
             n = system.n_a or len(system.A)
             raise UsageError(
                 f"{key} is missing; expected {n} numbers, the states of {self.model!r}"
@@ -139,12 +129,23 @@ class DescriptorKind(PlantKind, LinearKind, HasDescription, HasGivenStates):
         return values
 
 
-def check_foreign_initial(model: str, name: str, values: NumberRow | None) -> None:
-    """Raise UsageError where initial states of the other form of a model are given."""
-    if values is not None:
-        form = "has n_a: its states are x_a and x_b" if name == "x0" else "has the states x"
-        needed = "x_a0" if name == "x0" else "x0"
-        raise UsageError(f"{name}: the model {model!r} {form}; expected {needed}")
+def initial_in_form(
+    model: str, *, is_general: bool, x0: NumberRow | None, x_a0: NumberRow | None
+) -> NumberRow | None:
+    """Return x0 of a model in the general form, x_a0 of one with n_a.
+
+    Raises
+    ------
+    UsageError
+        If the table has the other one.
+    """
+    if is_general and x_a0 is not None:
+        raise UsageError(f"x_a0: the model {model!r} has the states x; expected x0")
+    if not is_general and x0 is not None:
+        raise UsageError(
+            f"x0: the model {model!r} has n_a: its states are x_a and x_b; expected x_a0"
+        )
+    return x0 if is_general else x_a0
 
 
 class FmuKind(PlantKind, PeriodicKind, HasDescription, LinearNearStart):
@@ -289,24 +290,21 @@ class RecordingKind(PlantKind):
         if lags:
             context.add_metadata(name, {"lags": lags})
         outputs = {f"{self.component}.{signal.name}" for signal in replay.interface.outputs}
-        jumps = [event.time_ns for event in recording.events() if event.signal in outputs]
-        if jumps:  # a row has one value, here that before the jump
-            count = len(set(jumps))
-            context.warn(
-                name,
-                f"{self.component!r} of {self.log} jumps at {count} instant{'s' * (count > 1)}, "
-                f"the first at t = {min(jumps) / NANOSECONDS} s: what it drives gets a ramp of a "
-                "step instead; a replay of that log itself has the jumps",
-            )
+        events = recording.events()
         substeps = recording.substeps()
-        ends = [one.end for one in substeps if one.accepted and one.event == self.component]
-        if ends:
-            context.warn(
-                name,
-                f"{self.component!r} of {self.log} has {len(ends)} event{'s' * (len(ends) > 1)} "
-                f"between communication points, the first at t = {ends[0]} s: between its rows it "
-                "is linear here; a replay of that log itself takes the substeps that end there",
-            )
+        # a row has one value, here that before a jump
+        jumps = {event.time_ns / NANOSECONDS for event in events if event.signal in outputs}
+        ends = {one.end for one in substeps if one.accepted and one.event == self.component}
+        for what, times, shown in (
+            ("jump(s)", jumps, "what it drives gets a ramp of a step instead"),
+            ("event(s) between communication points", ends, "between its rows it is linear here"),
+        ):
+            if times:
+                context.warn(
+                    name,
+                    f"{self.component!r} of {self.log} has {len(times)} {what}, the first at t = "
+                    f"{min(times)} s: {shown}; a replay of that log itself has them",
+                )
         return replay
 
     def lag(self, name: str, output: str, context: BuildContext) -> float:

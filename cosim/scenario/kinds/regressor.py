@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
 
 import numpy as np
@@ -23,27 +22,25 @@ from cosim.native.estimation.alphas import Alpha, AlphaSignal, PastAlphas, signa
 from cosim.native.estimation.rayleigh import MOST_TERMS
 from cosim.native.estimation.regression import RegressorConstants
 from cosim.scenario.document.schema import NumberRow
-from cosim.scenario.kinds.alphas import (
+from cosim.scenario.kinds.base import BuildContext, ExportableKind, Kind, Wiring
+from cosim.scenario.kinds.terms import (
     ALPHA,
+    FamilyTerm,
     KnownAlphas,
     TermAlpha,
     alpha_connections,
     alphas_of,
+    element_count,
+    families_of,
     known_functions,
     signals_of,
     unchecked,
 )
-from cosim.scenario.kinds.base import (
-    BuildContext,
-    ExportableKind,
-    Kind,
-    Wiring,
-)
-from cosim.scenario.kinds.terms import FamilyTerm, element_count, families_of
 from cosim.scenario.kinds.values import ImpliedConnection, KnownSignal, Spectrum
 from cosim.theory.disturbances import regression
 from cosim.theory.disturbances.distinguishable import check_distinguishable, check_exchangeable
 from cosim.theory.disturbances.families import AlphaGroup, Family, group_by_alpha
+from cosim.theory.estimators.output_error import NO_BOUNDS
 
 if TYPE_CHECKING:
     from cosim.fmi.exporting.specifications import Exportable
@@ -58,7 +55,7 @@ SAMPLES: Final = 512  # of an alpha, where it is checked
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RegressorDesign:
-    """The regression of a disturbance class, its alphas compiled.
+    """The regression of a disturbance class, its alphas compiled; without delays the class alone.
 
     Parameters
     ----------
@@ -81,10 +78,10 @@ class RegressorDesign:
     families: Sequence[Family]
     alphas: Sequence[Alpha]
     elements: Sequence[int]
-    functions: Mapping[str, KnownSignal]
-    steps: Sequence[int]
-    delays: Sequence[float]
-    lag: float
+    functions: Mapping[str, KnownSignal] = field(default_factory=dict)
+    steps: Sequence[int] = ()
+    delays: Sequence[float] = ()
+    lag: float = 0.0
 
     @cached_property
     def members(self) -> list[list[int]]:
@@ -94,11 +91,16 @@ class RegressorDesign:
             members[element].append(component)
         return members
 
+    @property
+    def has_several(self) -> bool:
+        """Whether delta has several elements."""
+        return len(self.members) > 1
+
     @cached_property
-    def each(self) -> list[RegressorDesign]:
-        """The regressions of the elements of delta, of the first delays; none of one alone."""
-        if len(self.members) == 1:
-            return []
+    def by_element(self) -> Sequence[RegressorDesign]:
+        """The regression of each element of delta, of the first delays."""
+        if not self.has_several:
+            return [self]
         designs = []
         for own in self.members:
             families = [self.families[i] for i in own]
@@ -113,11 +115,6 @@ class RegressorDesign:
             )
             designs.append(design)
         return designs
-
-    @property
-    def by_element(self) -> Sequence[RegressorDesign]:
-        """The regression of each element of delta."""
-        return self.each or [self]
 
     @cached_property
     def groups(self) -> list[AlphaGroup]:
@@ -135,17 +132,24 @@ class RegressorDesign:
         """The number of basis functions of each group."""
         return tuple(group.size for group in self.groups)
 
+    @property
+    def delays_needed(self) -> int:
+        """One more than the basis functions of the element of delta that has most."""
+        return 1 + max(sum(part.sizes) for part in self.by_element)
+
     @cached_property
     def is_expanded(self) -> bool:
         """Whether mu is that of (25); else it is delta at its delays."""
-        return not self.each and regression.count_terms(self.sizes) <= MOST_TERMS
+        return not self.has_several and regression.count_terms(self.sizes) <= MOST_TERMS
 
     @cached_property
     def terms(self) -> Sequence[regression.Term]:
         """The expansion of the determinant."""
         if self.is_expanded:
             return regression.expand(self.sizes)
-        count = sum(len(part.terms) for part in self.each) or len(self.delays)
+        count = len(self.delays)
+        if self.has_several:
+            count = sum(len(part.terms) for part in self.by_element)
         return regression.delayed(count)
 
     @property
@@ -156,10 +160,10 @@ class RegressorDesign:
     @cached_property
     def constants(self) -> RegressorConstants:
         """The numbers of what makes mu; of several elements their alphas, and how many mu has."""
-        if not self.each:
+        if not self.has_several:
             return self._of_one().constants
         count = len(self.terms)
-        first = self.each[0].constants
+        first = self.by_element[0].constants
         ages = [self.lag + delay for delay in self.delays]
         return replace(
             first,
@@ -191,6 +195,21 @@ class RegressorDesign:
             grid = np.linspace(min(first, clock.stop), clock.stop, SAMPLES)
         return grid[:, np.newaxis] - ages
 
+    def check_distinguishable(
+        self, clock: Clock, bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS
+    ) -> None:
+        """Check that no two terms say the same, whatever theta within the bounds is.
+
+        Raises
+        ------
+        AssumptionError
+            If two do.
+        """
+        texts = [alpha.text for alpha in self.alphas]
+        factors = list(zip(texts, self.elements, strict=True))
+        span = clock.steps * clock.h
+        check_distinguishable(self.families, factors, texts, bounds=bounds, span=span)
+
     def check_known(self, clock: Clock, *, estimates_eta: bool) -> None:
         """Check the alphas as far as they are known before the run.
 
@@ -208,6 +227,12 @@ class RegressorDesign:
         for part in self.by_element:
             if not part.known.unknown:
                 part._check(part.known, part.times_before(clock), estimates_eta)
+
+    def independence(self, clock: Clock) -> float:
+        """Return by how much the products of the alphas are independent, all of them known."""
+        times = self.times_before(clock)
+        sampled = self.known(times.ravel()).reshape(*times.shape, len(self.groups))
+        return regression.independence(self.terms, sampled)
 
     def check_recorded(self, t: Vector, alpha: Matrix, *, estimates_eta: bool) -> None:
         """Check the alphas where only the run has computed them, if it is longer than the delays.
@@ -245,10 +270,10 @@ class RegressorDesign:
 
     def component(self) -> Regressor | ElementRegressors:
         """Return a component that makes the signals of the regression."""
-        if not self.each:
+        if not self.has_several:
             return self._of_one()
-        signals = [signals_among(part.alphas) for part in self.each]
-        return ElementRegressors([part._of_one() for part in self.each], signals)
+        signals = [signals_among(part.alphas) for part in self.by_element]
+        return ElementRegressors([part._of_one() for part in self.by_element], signals)
 
     def _of_one(self) -> Regressor:
         """Return the regressor of one element of delta: its input alpha has its own signals."""
@@ -307,9 +332,9 @@ class RegressorKind(ExportableKind):
 
         component = self.build(name, context)
         design = self.design(name, context)
-        if design.each:
+        if design.has_several:
             raise UsageError(
-                f"{name!r}: a regressor of {len(design.each)} elements of delta cannot be "
+                f"{name!r}: a regressor of {len(design.members)} elements of delta cannot be "
                 "exported; expected one regressor per element"
             )
         kernel = kernels.regressor(design.constants)
@@ -353,25 +378,33 @@ class RegressorKind(ExportableKind):
         """Return the regression of the given terms."""
         return context.designed(name, lambda: self._designed(name, context))
 
-    def _designed(self, name: str, context: BuildContext) -> RegressorDesign:
+    def disturbance_class(self) -> RegressorDesign:
+        """Return the class of the disturbance alone, with the alphas as they are written.
+
+        Raises
+        ------
+        UsageError
+            If a term is none, or an element of delta has no term.
+        """
         families = families_of(self.terms)
-        steps = self.delay_steps(context)  # before what needs all times of the run
-        alphas = alphas_of(name, self.alphas, context, ALPHA_WAY_OUT)
-        self.check_distinguishable(context)
         elements = [term.element for term in self.terms]
-        sizes = [0] * element_count(self.terms)
-        for family, element in zip(families, elements, strict=True):
-            sizes[element] += family.v
-        if 0 in sizes:
+        count = element_count(self.terms)
+        missing = set(range(count)).difference(elements)
+        if missing:
             raise UsageError(
-                f"terms: expected at least one term for each of {len(sizes)} elements of delta, "
-                f"got none for element {sizes.index(0)}"
+                f"terms: expected at least one term for each of {count} elements of delta, got "
+                f"none for element {min(missing)}"
             )
-        regression.check_delays(self.delays, max(sizes) + 1)
-        design = RegressorDesign(
-            families=families,
+        return RegressorDesign(families=families, alphas=unchecked(self.alphas), elements=elements)
+
+    def _designed(self, name: str, context: BuildContext) -> RegressorDesign:
+        of_class = self.disturbance_class()
+        steps = self.delay_steps(of_class, context)  # before what needs all times of the run
+        alphas = alphas_of(name, self.alphas, context, ALPHA_WAY_OUT)
+        of_class.check_distinguishable(context.clock)
+        design = replace(
+            of_class,
             alphas=alphas,
-            elements=elements,
             functions=known_functions(alphas, context),
             steps=steps,
             delays=self.delays,
@@ -380,33 +413,18 @@ class RegressorKind(ExportableKind):
         design.check_known(context.clock, estimates_eta=False)
         return design
 
-    def check_distinguishable(
-        self,
-        context: BuildContext,
-        bounds: Mapping[int, tuple[float, float]] = MappingProxyType({}),
-    ) -> None:
-        """Check that no two terms say the same, whatever theta within the bounds is.
+    def delay_steps(self, of_class: RegressorDesign, context: BuildContext) -> list[int]:
+        """Return the delays in communication steps.
 
         Raises
         ------
-        AssumptionError
-            If two do.
+        UsageError, AssumptionError
+            If they are no whole steps, not as many as the class needs, or not different.
         """
-        texts = [alpha.text for alpha in unchecked(self.alphas)]
-        elements = [term.element for term in self.terms]
-        check_distinguishable(
-            families_of(self.terms),
-            list(zip(texts, elements, strict=True)),
-            texts,
-            bounds=bounds,
-            span=context.clock.steps * context.clock.h,
-        )
-
-    def delay_steps(self, context: BuildContext) -> list[int]:
-        """Return the delays in communication steps."""
         steps = []
         for j, delay in enumerate(self.delays):
             steps.append(whole_steps(delay, context.step_ns, f"delays[{j}]"))
+        regression.check_delays(self.delays, of_class.delays_needed)
         return steps
 
 

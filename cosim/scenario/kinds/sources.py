@@ -26,11 +26,21 @@ from cosim.native.estimation.alphas import AlphaSignal
 from cosim.native.numerics.expression import FUNCTIONS, compile_expression
 from cosim.native.numerics.jumps import depends_on_time, jumps, jumps_with_signals
 from cosim.scenario.document.schema import Flag, Number, NumberRow, Size, Whole
-from cosim.scenario.kinds.alphas import ALPHA, alpha_connections, alphas_of, naming
 from cosim.scenario.kinds.base import BuildContext, Kind, PeriodicKind
 from cosim.scenario.kinds.capabilities import Advising
-from cosim.scenario.kinds.jumps import check_continuous, check_sampled, seen_late
-from cosim.scenario.kinds.terms import LINEAR, ValuedTerm, element_count, function_text
+from cosim.scenario.kinds.terms import (
+    ALPHA,
+    LINEAR,
+    ValuedTerm,
+    alpha_connections,
+    alphas_of,
+    check_continuous,
+    check_sampled,
+    element_count,
+    function_text,
+    naming,
+    seen_late,
+)
 from cosim.scenario.kinds.values import ImpliedConnection, StepDependence
 
 EXPRESSION_WAY_OUT = (
@@ -172,9 +182,7 @@ class ExpressionKind(Kind, Advising):
                 implied[Port(name, f"u{number}")] = ImpliedConnection(connection, None)
         return implied
 
-    def advice(
-        self, name: str, context: BuildContext, *, held: Mapping[str, bool], h: float
-    ) -> list[str]:
+    def advice(self, name: str, context: BuildContext, held: Mapping[str, bool]) -> list[str]:
         jumping = [text for text in self._texts if self._signals and jumps_with_signals(text)]
         if not jumping or all(held.values()):
             return []

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from decimal import Decimal
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final, Literal, TypeAlias
+from typing import Any, ClassVar, Final, Literal, TypeAlias
 
 import numpy as np
 from pydantic import Field
@@ -22,7 +22,7 @@ from cosim.native.blocks.functions import Extrapolation
 from cosim.scenario.data_files.table import TableForm, second_of
 from cosim.scenario.data_files.table import unit_of as header_unit
 from cosim.scenario.data_files.tables import read_table
-from cosim.scenario.document.schema import NumberRow, NumberRows, TomlTable, Whole, matrix
+from cosim.scenario.document.schema import NumberRow, NumberRows, matrix
 from cosim.scenario.kinds.base import BuildContext, Kind
 
 UNSEEN: Final = 0.01  # of a column's range
@@ -30,37 +30,10 @@ UNSEEN: Final = 0.01  # of a column's range
 Points: TypeAlias = tuple[list[Vector], Matrix]  # of each input, and the values on their grid
 
 
-class TableKeys(TomlTable):
-    """How a table stands in its file, where that is not as it is found."""
-
-    separator: str | None = Field(
-        None,
-        description="column separator of a text; default: tab, semicolon, vertical bar or "
-        "comma, the one that splits its lines into equally many cells; several blanks are one",
-    )
-    decimal: Literal[".", ","] | None = Field(
-        None, description="decimal separator of a text; default: as found in its numbers"
-    )
-    skip: Annotated[Whole, Field(ge=0)] | None = Field(
-        None,
-        description="lines before the names of the columns; default: the names are found, above "
-        "the first row of numbers, or between them a row of units",
-    )
-    comment: Annotated[str, Field(max_length=10)] | None = Field(
-        None, description='what lines begin with that are left out; default: "#"'
-    )
-    sheet: str | None = Field(None, description="sheet of a workbook; default: its only one")
-
-    @property
-    def form(self) -> TableForm:
-        """What is given of the form of the table."""
-        return TableForm(**self.model_dump(include=set(TableKeys.model_fields)))
-
-
 # --- a signal ---
 
 
-class TableKind(TableKeys, Kind):
+class TableKind(TableForm, Kind):
     """y = interpolated points from arrays or a CSV file with a header line."""
 
     ports: ClassVar[str] = "-> y"
@@ -124,7 +97,7 @@ class TableKind(TableKeys, Kind):
 
     def _read(self, path: Path) -> tuple[Vector, Matrix, str | tuple[str, ...] | None]:
         """Return times [s], values and their units."""
-        table = read_table(path, self.form)
+        table = read_table(path, self)
         (clock,) = table.find([self.time])
         parts = [header for header in table.find(self.columns) if header != clock]
         second = second_of(table.label, clock)
@@ -208,7 +181,7 @@ def unseen_rows(t: Vector, y: Matrix, clock: Clock) -> list[str]:
 # --- a function ---
 
 
-class LookUpTableKind(TableKeys, Kind):
+class LookUpTableKind(TableForm, Kind):
     """y = f(u) or f(u1, u2), linear between breakpoints from arrays or a CSV file."""
 
     ports: ClassVar[str] = "u, or u1, u2 -> y"
@@ -251,7 +224,7 @@ class LookUpTableKind(TableKeys, Kind):
 
     def _read(self, path: Path) -> tuple[list[Vector], Matrix, dict[str, PortUnit]]:
         """Return breakpoints, values and the units of the ports."""
-        table = read_table(path, self.form)
+        table = read_table(path, self)
         headers = table.find(self.columns)
         if len(headers) not in (2, 3):
             raise UsageError(
@@ -289,14 +262,10 @@ def _gridded(rows: Matrix, label: str) -> Points:
     u1 = np.unique(rows[:, 0])
     u2 = np.unique(rows[:, 1])
     pairs = len(u1) * len(u2)
-    if pairs == len(rows):
-        values = np.full((len(u1), len(u2)), np.nan)
-        first = np.searchsorted(u1, rows[:, 0])
-        second = np.searchsorted(u2, rows[:, 1])
-        values[first, second] = rows[:, 2]
-        different = np.unique(first * len(u2) + second)
-        if len(different) == pairs:
-            return [u1, u2], values
+    in_order = rows[np.lexsort((rows[:, 1], rows[:, 0]))]
+    grid = np.column_stack([np.repeat(u1, len(u2)), np.tile(u2, len(u1))])
+    if np.array_equal(in_order[:, :2], grid):
+        return [u1, u2], in_order[:, 2].reshape(len(u1), len(u2))
     raise UsageError(
         f"{label}: expected each pair of {len(u1)} x {len(u2)} breakpoints once ({pairs} "
         f"rows), got {len(rows)} rows"

@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib
+import importlib.metadata
 import importlib.util
 import pkgutil
 import re
@@ -75,23 +76,6 @@ _of_folders: Final[dict[tuple[Path, str], tuple[ModuleType, Mapping[Path, str]]]
 _of_ordinary: Final[WeakKeyDictionary[type, str]] = WeakKeyDictionary()  # hashes at first sight
 
 
-def class_name_parts(name: str) -> tuple[str, str]:
-    """Return module and class of ``package.module:Class``.
-
-    Raises
-    ------
-    UsageError
-        If it is something else.
-    """
-    module, colon, class_name = name.partition(":")
-    names = [*module.split("."), class_name]
-    if colon and all(map(str.isidentifier, names)):
-        return module, class_name
-    module, dot, class_name = name.rpartition(".")
-    meant = f"; did you mean {f'{module}:{class_name}'!r}?" if dot and ":" not in name else ""
-    raise UsageError(f"expected 'package.module:Class', got {quoted(name)}{meant}")
-
-
 class OtherSource(UsageError):
     """A file is not the expected one, and so it was not run.
 
@@ -137,7 +121,7 @@ def load_class(
         If there is no such module, it cannot be imported or has no such class, or its file changed
         since it was imported; what was raised is the cause.
     """
-    module_name, class_name = class_name_parts(name)
+    module_name, _, class_name = name.partition(":")
     top = module_name.partition(".")[0]
     if top in sys.stdlib_module_names or top == "__main__":
         raise UsageError(
@@ -261,12 +245,13 @@ class _FolderFinder(MetaPathFinder):
         if top in sys.stdlib_module_names or top == "__main__":
             return False
         spec = PathFinder.find_spec(top, [str(self.folder)])
-        ordinary = None if spec is None else self._ordinary_spec(top)
-        if spec is None or ordinary is None:
-            return spec is not None
-        if spec.origin is None or ordinary.origin is None:
-            # a folder without __init__.py comes behind all others
-            return ordinary.origin is None
+        if spec is None:
+            return False
+        ordinary = self._ordinary_spec(top)
+        if ordinary is None or ordinary.origin is None:
+            return True
+        if spec.origin is None:  # a folder without __init__.py comes behind all others
+            return False
         return Path(ordinary.origin).resolve() != Path(spec.origin).resolve()
 
     def _ordinary_spec(self, top: str) -> ModuleSpec | None:
@@ -333,8 +318,6 @@ def _distribution_of(module: str) -> str | None:
 
     ``importlib.metadata.packages_distributions`` takes a second to parse the lists of all files.
     """
-    import importlib.metadata
-
     top = module.partition(".")[0]
     files = re.compile(rf"^{top}(/|\.[^/]*,)", re.MULTILINE)
     for distribution in importlib.metadata.distributions():

@@ -30,6 +30,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import entry_points
 from types import NoneType, UnionType
 from typing import Annotated, Any, ClassVar, Final, Literal, Union, get_args, get_origin
@@ -40,7 +41,7 @@ from pydantic import AfterValidator, ConfigDict, Field, StrictStr, ValidationErr
 
 from cosim.core.arguments import checked_components
 from cosim.core.contracts import Component
-from cosim.errors import CosimError, UsageError
+from cosim.errors import CosimError, UsageError, quoted
 from cosim.scenario.document.problems import TableProblems, problems_of
 from cosim.scenario.document.schema import (
     Flag,
@@ -49,10 +50,10 @@ from cosim.scenario.document.schema import (
     NumberRows,
     TomlTable,
     Whole,
-    matrix,
+    array_of,
 )
 from cosim.scenario.kinds.base import BuildContext, Kind
-from cosim.scenario.kinds.user_code import UserClass, class_name_parts, in_words
+from cosim.scenario.kinds.user_code import UserClass, in_words
 from cosim.scenario.kinds.values import StepDependence
 
 GROUP: Final = "cosim.components"
@@ -70,11 +71,13 @@ _ANNOTATIONS: Final = (
 
 
 def _check_class_name(name: str) -> str:
-    try:
-        class_name_parts(name)
-    except UsageError as error:
-        raise ValueError(str(error)) from error
-    return name
+    """Return ``package.module:Class``; raise ValueError if it is something else."""
+    module, colon, class_name = name.partition(":")
+    if colon and all(map(str.isidentifier, [*module.split("."), class_name])):
+        return name
+    module, dot, class_name = name.rpartition(".")
+    meant = f"; did you mean {f'{module}:{class_name}'!r}?" if dot and not colon else ""
+    raise ValueError(f"expected 'package.module:Class', got {quoted(name)}{meant}")
 
 
 class UserKind(Kind):
@@ -95,10 +98,8 @@ class UserKind(Kind):
         """Whether a replay may run the class."""
         return self._is_allowed
 
-    @property
-    def parameters(self) -> Mapping[str, Any]:
-        """The parameters of the constructor."""
-        return self.model_extra or {}
+    def _constructed(self, name: str, user_class: UserClass) -> Component:
+        return construct(name, user_class, self.model_extra or {})
 
 
 class PythonKind(UserKind):
@@ -118,8 +119,7 @@ class PythonKind(UserKind):
         return self.class_
 
     def build(self, name: str, context: BuildContext) -> Component:
-        user_class = context.user_class(name, self.code, self.class_)
-        return construct(name, user_class, self.parameters)
+        return self._constructed(name, context.user_class(name, self.code, self.class_))
 
 
 class InstalledKind(UserKind):
@@ -135,10 +135,11 @@ class InstalledKind(UserKind):
         return self.kind
 
     def build(self, name: str, context: BuildContext) -> Component:
-        installed = installed_class(self.kind)
-        package = installed.distribution
-        user_class = context.user_class(name, self.code, installed.class_name, package)
-        return construct(name, user_class, self.parameters)
+        found = installed_class(self.kind)
+        class_name = _check_class_name(found.class_name)
+        return self._constructed(
+            name, context.user_class(name, self.code, class_name, found.distribution)
+        )
 
 
 # --- the parameters of a constructor ---
@@ -235,22 +236,12 @@ def _type(annotation: Any) -> Any:
         return Union[tuple(_type(argument) for argument in arguments)]  # noqa: UP007
     is_of_float64 = origin is np.ndarray and get_args(arguments[1]) == (np.float64,)
     if annotation is np.ndarray or is_of_float64:
-        return Annotated[NumberRow | NumberRows, AfterValidator(_array)]
+        return Annotated[NumberRow | NumberRows, AfterValidator(partial(array_of, name="rows"))]
     if origin is list:
-        return Annotated[tuple[_type(arguments[0]), ...], AfterValidator(_list)]  # type: ignore[misc]
+        return Annotated[tuple[_type(arguments[0]), ...], AfterValidator(list)]  # type: ignore[misc]
     if origin is Sequence or (origin is tuple and arguments[1:] == (...,)):
         return tuple[_type(arguments[0]), ...]  # type: ignore[misc]
     raise TypeError
-
-
-def _array(values: tuple[Any, ...]) -> Any:
-    if values and isinstance(values[0], tuple):
-        return matrix(values, "rows")
-    return np.array(values, np.float64)
-
-
-def _list(values: tuple[Any, ...]) -> list[Any]:
-    return list(values)
 
 
 # --- installed packages ---

@@ -21,9 +21,9 @@ from cosim.documents import plain
 from cosim.errors import Interrupted, RunError, listing
 from cosim.interrupts import uninterrupted
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.kinds.identified_plant import Assessor
-from cosim.scenario.kinds.initial_states import change_text, changed_states
+from cosim.scenario.kinds.capabilities import change_text, changed_states
 from cosim.scenario.record import IDENTIFICATION, INITIAL_STATES, UNTIL
+from cosim.scenario.recordings.verdicts import Assessor
 
 if TYPE_CHECKING:
     from cosim.fmi.binary.messages import Message

@@ -38,13 +38,12 @@ from cosim.native.fmi.process import report_log
 from cosim.scenario.building.build import Builder
 from cosim.scenario.building.coupling import with_loop_gains
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.building.parsing import Scenario
-from cosim.scenario.kinds.build_record import Origins
+from cosim.scenario.kinds.base import Scenario
+from cosim.scenario.kinds.build_record import unpacked_in
+from cosim.scenario.recordings.log_contents import attachments_of, metadata_of
 from cosim.scenario.recordings.message_recorder import MessageRecorder
-from cosim.scenario.recordings.records import attachments_of, metadata_of
 
 if TYPE_CHECKING:
-    from cosim.fmi.unpacked import UnpackedFmus
     from cosim.scenario.recordings.swap_report import SwapReports
 
 Progress = Callable[[float, float], None]  # simulated time, end [s]
@@ -66,11 +65,12 @@ class LiveView(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Where a run is recorded: over or beside a log that is there; None: in memory.
+    """Where a run is recorded: over or beside a log that is there, or in memory.
 
     Parameters
     ----------
     out : str, Path or None
+        None: in memory.
     force, numbered : bool
     notice : callable or None
     flush : float
@@ -124,8 +124,6 @@ def check_target(out: str | Path | None, *, force: bool = False, numbered: bool 
 def build_experiment(
     scenario: Scenario,
     resources: ExitStack,
-    *,
-    unpacked: UnpackedFmus | None = None,
     reports: SwapReports | None = None,
 ) -> Experiment:
     """Build a scenario; one with swaps is compared with what it was, for its log and warnings.
@@ -135,8 +133,6 @@ def build_experiment(
     scenario : Scenario
     resources : ExitStack
         Closes what was opened, when the run is over.
-    unpacked : UnpackedFmus, optional
-        Where FMUs are unpacked and loaded for all builds of a process.
     reports : SwapReports, optional
         How the swaps compare, where that is known.
 
@@ -145,22 +141,22 @@ def build_experiment(
     ScenarioError
         With every problem of the file; or if the coupling of a loop is refused.
     """
+    if scenario.file.swap and reports is None:
+        from cosim.scenario.recordings.swap_comparison import compare_swaps  # few runs need it
+
+        reports = compare_swaps(scenario, unpacked_in(resources))
+        reports.check()
+    replaced = None if reports is None else reports.replaced
 
     def build() -> Experiment:
-        return Builder(scenario, resources, Origins(unpacked=unpacked)).experiment()
-
-    if scenario.file.swap and reports is None:
-        from cosim.scenario.recordings.swap_comparison import build_swapped  # few runs need it
-
-        experiment, reports = build_swapped(scenario, resources, unpacked)
-    else:
-        experiment = build()
+        builder = Builder(scenario, resources, replaced=replaced)
+        return with_reports(builder.experiment(), reports)
 
     def rebuild() -> Experiment:
         resources.close()
-        return with_reports(build(), reports)
+        return build()
 
-    experiment = with_loop_gains(with_reports(experiment, reports), rebuild)
+    experiment = with_loop_gains(build(), rebuild)
     experiment.setting_designs = experiment.prepare_settings({})
     return experiment
 
@@ -319,9 +315,7 @@ def run_into(
 
 def run_rows(recorder: Recorder, experiment: Experiment) -> None:
     """Run an experiment without verdicts at its end."""
-    with interruptible() as check:
-        with_messages = MessageRecorder(recorder, replace(experiment, identified={}))
-        _run(experiment, Watched(with_messages, lambda block, signals: check()))
+    run_into(recorder, replace(experiment, identified={}), progress=None, profile=None)
 
 
 def _run(experiment: Experiment, recorder: Recorder) -> None:

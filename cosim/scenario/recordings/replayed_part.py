@@ -18,26 +18,25 @@ are taken out until these conditions hold for each of the others.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from typing import Final, TypeAlias, final
 
 import numpy as np
 
 from cosim.arrays import as_columns
-from cosim.core.connections import Connection
 from cosim.core.contracts import Block
 from cosim.core.port import Port, named_ports
-from cosim.core.recorded.partial import PartialRecord, partial_of, reduced_interface
+from cosim.core.recorded.partial import PartialRecord, partial_layout, partial_of
 from cosim.core.recorders import Memory
 from cosim.core.recording import CompleteRecording, Plan
-from cosim.core.signals import Channel, Layout
+from cosim.core.signals import Layout
 from cosim.core.structure.cycles import strongly_connected
-from cosim.errors import LogError, UsageError, flag, listing, nearest, quoted
+from cosim.errors import LogError, UsageError, command, flag, listing, nearest, quoted
 from cosim.instants import step_seconds
 from cosim.log.contents.metadata import json_table
-from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.kinds import Kind
+from cosim.scenario.kinds.base import Scenario
 
 _NOT_RECORDED: Final = "which is neither computed nor recorded at each step"
 _OF_OUTPUTS: Final = ("jump", "follow")  # causes of events that change no input
@@ -97,22 +96,21 @@ def replayed_part(
     LogError
         If nothing can be computed from a partial log.
     """
-    computable = [name for name, spec in scenario.specs.items() if spec.computable]
+    specs = scenario.specs
+    computable = [name for name, spec in specs.items() if spec.computable]
     for name in chosen or ():
-        if name not in scenario.specs:
-            raise UsageError(
-                f"the log has no component {quoted(name)}; {nearest(name, scenario.specs)}"
-            )
+        if name not in specs:
+            raise UsageError(f"the log has no component {quoted(name)}; {nearest(name, specs)}")
         if name not in computable:
+            reason = way_out(specs[name]) or "its file is not part of the log"
             raise UsageError(
-                f"{name!r} cannot be computed, as a replay takes it from the log: "
-                f"{_why_recorded(scenario.specs[name])}; available: {listing(computable, 100)}"
+                f"{name!r} cannot be computed, as a replay takes it from the log: {reason}; "
+                f"available: {listing(computable, 100)}"
             )
     wanted = set(computable if chosen is None else chosen)
     partial = partial_of(source.channels)
     if partial is None:
-        copied = tuple(name for name in scenario.specs if name not in wanted)
-        return ReplayedPart(scenario, source, copied)
+        return ReplayedPart(scenario, source, tuple(name for name in specs if name not in wanted))
     part = _PartSearch(source, partial, scenario, wanted).part()
     for name in chosen or ():
         if name in part.uncomputed:
@@ -123,11 +121,13 @@ def replayed_part(
     return part
 
 
-def _why_recorded(spec: Kind) -> str:
-    """Return why a component cannot be computed from a log."""
+def way_out(spec: Kind) -> str:
+    """Return how a component is computed that a replay takes from the log; empty: not at all."""
+    if spec.computable:
+        return "compute this component, too"
     if spec.code is not None:
-        return f"{flag('allow_code')} allows its code to run"
-    return f"{flag('rerun')} computes it" if spec.is_rerun else "its file is not part of the log"
+        return f"allow its code to run with {flag('allow_code')}"
+    return f"compute it, too: {command('replay')} with {flag('rerun')}" if spec.is_rerun else ""
 
 
 @final
@@ -144,17 +144,20 @@ class _PartSearch:
         self._run = run
         self._partial = partial
         self._scenario = scenario
-        self._inputs: dict[Port, list[Connection]] = {}  # by whole input
+        self._sources: dict[Port, list[Port]] = {}  # by whole input
         for to, connection in scenario.connections.items():
-            self._inputs.setdefault(to.whole, []).append(connection)
-        loops: dict[str, set[str]] = {}
+            self._sources.setdefault(to.whole, []).extend(connection.sources)
+        self._inputs: dict[str, list[Port]] = {}  # that are connected, by component
+        for to in self._sources:
+            self._inputs.setdefault(to.component, []).append(to)
         members = strongly_connected(scenario.drivers)
+        loops: dict[str, set[str]] = {}
         for name, loop in members.items():
             loops.setdefault(loop, set()).add(name)
         self._loops = {name: loops[loop] for name, loop in members.items()}
         self._columns = self._recorded_columns()
         self._computed = set(wanted)
-        self._kept = set(self._inputs)  # inputs whose sources are all there
+        self._kept = set(self._sources)  # inputs whose sources are all there
         self._reasons: dict[str, str] = {}
 
     # --- what the log has ---
@@ -168,20 +171,19 @@ class _PartSearch:
             if channel.period == declared[name].period:
                 columns[name] = {s.name: (f"{name}.{s.name}", 1) for s in channel.signals}
         for source, to in self._driven_as_they_are():
-            if to.component not in recorded or to.signal not in recorded[to.component].by_name:
+            driven = recorded.get(to.component)
+            if driven is None or to.signal not in driven.by_name:
                 continue
             is_inside = to.component in self._loops.get(source.component, ())
-            period = recorded[to.component].period
-            stride, rest = divmod(declared[source.component].period, period)
+            stride, rest = divmod(declared[source.component].period, driven.period)
             if not is_inside and not rest:
                 columns[source.component].setdefault(source.signal, (str(to), stride))
         return columns
 
-    def _driven_as_they_are(self) -> list[tuple[Port, Port]]:
-        """Return whole outputs, and the inputs that had in the run what these gave."""
+    def _driven_as_they_are(self) -> Iterator[tuple[Port, Port]]:
+        """Yield whole outputs, and the inputs that had in the run what these gave."""
         events = self._run.events()
         faulty = {Port.parse(e.signal).whole for e in events if e.cause not in _OF_OUTPUTS}
-        driven = []
         for text, connection in self._run.metadata.get("cosim.connections", {}).items():
             to = Port.parse(text)
             table = json_table(connection)
@@ -191,8 +193,7 @@ class _PartSearch:
                 source = Port.parse(names)
                 is_whole = source.whole == source and to.whole == to
                 if is_whole and to not in faulty and source.component in self._partial.declared:
-                    driven.append((source, to))
-        return driven
+                    yield source, to
 
     # --- what follows from it ---
 
@@ -210,51 +211,48 @@ class _PartSearch:
                     self._computed.discard(name)
                     self._reasons[name] = reason
 
-    def _sources(self, to: Port) -> list[Port]:
-        return [source for connection in self._inputs[to] for source in connection.sources]
-
     def _closes_copied_loop(self, to: Port) -> bool:
         """Return whether an input closes a loop of which nothing is computed."""
         loop = self._loops[to.component]
         is_copied = loop.isdisjoint(self._computed)
-        return is_copied and any(source.component in loop for source in self._sources(to))
+        return is_copied and any(source.component in loop for source in self._sources[to])
 
     def _missing_source(self, to: Port) -> Port | None:
-        """Return a source of an input that is not there."""
-        return next((source for source in self._sources(to) if not self._is_there(source)), None)
+        """Return a source of an input that is neither computed nor copied."""
+        return next((source for source in self._sources[to] if not self._is_there(source)), None)
 
     def _is_there(self, source: Port) -> bool:
         """Return whether an output is computed, or can be copied."""
         name = source.component
         if name in self._computed:
             return True
-        declared = self._partial.declared.get(name)
-        match = None if declared is None else source.find(declared.by_name)
-        if declared is None or match is None or match[0].name not in self._columns[name]:
+        if name not in self._columns:
+            return False
+        match = source.find(self._partial.declared[name].by_name)
+        if match is None or match[0].name not in self._columns[name]:
             return False
         # how it changes between steps follows from all inputs
-        return match[0].variability != "inherited" or self._has_all_inputs(declared)
+        return match[0].variability != "inherited" or self._has_all_inputs(name)
 
-    def _has_all_inputs(self, channel: Channel) -> bool:
+    def _has_all_inputs(self, name: str) -> bool:
         """Return whether all connected inputs of a component are there."""
-        ports = [Port(channel.name, signal.name) for signal in channel.interface.inputs]
-        return all(port in self._kept for port in ports if port in self._inputs)
+        return self._kept.issuperset(self._inputs.get(name, ()))
 
     def _obstacle(self, name: str) -> str:
         """Return why a component cannot be computed; empty: it can."""
-        for to in self._inputs:
-            if to.component == name and to not in self._kept:
+        for to in self._inputs.get(name, ()):
+            if to not in self._kept:
                 return f"its input '{to}' comes from '{self._missing_source(to)}', {_NOT_RECORDED}"
-        recorded = self._run.channels
-        for other in sorted(self._loops[name] - self._computed):
-            declared = self._partial.declared.get(other)
-            is_whole = declared is not None and self._partial.is_whole(other, recorded)
-            if declared is None or not is_whole or not self._has_all_inputs(declared):
-                return f"it is in a loop with {other!r}, which is not recorded completely"
-            if not self._partial.is_whole(name, recorded):
+        loop = self._loops[name]
+        copied = loop - self._computed
+        for other in sorted(loop) if copied else ():
+            is_whole = self._partial.is_whole(other, self._run.channels)
+            if not is_whole or (other in copied and not self._has_all_inputs(other)):
+                if other in copied:
+                    return f"it is in a loop with {other!r}, which is not recorded completely"
                 return (
-                    f"it is in a loop with {other!r}, which is copied, and is not recorded "
-                    "completely"
+                    f"it is in a loop with {min(copied)!r}, which is copied, and {other!r} is not "
+                    "recorded completely"
                 )
         return ""
 
@@ -270,45 +268,36 @@ class _PartSearch:
                 f"recorded with {self._partial.selection}{reasons}"
             )
         absent = {}
-        columns: dict[str, _Columns] = {}
-        channels = []
-        width = 0
+        shown: dict[str, set[str]] = {}  # the signals of copied components that are in the replay
         for name in self._scenario.specs:
-            if name in self._computed:
-                continue
-            declared = self._partial.declared.get(name)
-            shown = set() if declared is None else self._shown(declared)
-            if declared is None or shown.isdisjoint(s.name for s in declared.interface.outputs):
+            own = set() if name in self._computed else self._shown(name)
+            if own:
+                shown[name] = own
+            elif name not in self._computed:
                 reason = self._reasons.get(name, "a replay takes it from the log")
                 absent[name] = f"{reason}; the log has no output of it at every step"
-                continue
-            columns[name] = {s: place for s, place in self._columns[name].items() if s in shown}
-            interface = reduced_interface(declared.interface, shown)
-            channels.append(Channel(name, interface, width, declared.period))
-            width = channels[-1].columns.stop
         return ReplayedPart(
-            self._reduced(absent, columns),
-            _copied(self._run, self._partial, Layout(tuple(channels)), columns),
-            tuple(columns),
-            absent,
-            self._reasons,
+            self._reduced(absent, shown), self._copied(shown), tuple(shown), absent, self._reasons
         )
 
-    def _shown(self, declared: Channel) -> set[str]:
-        """Return the signals of a copied component that are in the replay.
+    def _shown(self, name: str) -> set[str]:
+        """Return the signals of a copied component that are in the replay; empty: it is absent.
 
         Outputs that can be copied, inputs that are driven, or recorded and undriven.
         """
-        name = declared.name
-        shown = {s.name for s in declared.interface.outputs if self._is_there(Port(name, s.name))}
-        for signal in declared.interface.inputs:
-            port = Port(name, signal.name)
-            is_recorded = signal.name in self._columns[name]
-            if port in self._kept or (port not in self._inputs and is_recorded):
-                shown.add(signal.name)
+        declared = self._partial.declared.get(name)
+        if declared is None:
+            return set()
+        outputs = [signal.name for signal in declared.interface.outputs]
+        shown = {signal for signal in outputs if self._is_there(Port(name, signal))}
+        for signal in declared.interface.input_names if shown else ():
+            port = Port(name, signal)
+            is_undriven = port not in self._sources
+            if port in self._kept or (is_undriven and signal in self._columns[name]):
+                shown.add(signal)
         return shown
 
-    def _reduced(self, absent: Collection[str], columns: Mapping[str, _Columns]) -> Scenario:
+    def _reduced(self, absent: Collection[str], shown: Mapping[str, Set[str]]) -> Scenario:
         """Return the scenario of what is here."""
         scenario = self._scenario
         specs = {name: spec for name, spec in scenario.specs.items() if name not in absent}
@@ -316,13 +305,55 @@ class _PartSearch:
         for to, connection in scenario.connections.items():
             if to.component in specs and to.whole in self._kept:
                 connections[to] = connection
+
+        def is_known(port: Port) -> bool:
+            name = port.component
+            own = shown.get(name)
+            return own is None or (port.signal in own and port.signal in self._columns[name])
+
         truth = {}
         for estimate, true in scenario.file.truth.items():
-            ports = [Port.parse(text) for text in (estimate, *named_ports(true))]
-            if all(p.component not in columns or p.signal in columns[p.component] for p in ports):
+            if all(map(is_known, map(Port.parse, (estimate, *named_ports(true))))):
                 truth[estimate] = true
         file = scenario.file.model_copy(update={"truth": truth})
         return replace(scenario, specs=specs, connections=connections, file=file)
+
+    def _copied(self, shown: Mapping[str, Set[str]]) -> Memory:
+        """Return the rows of copied components; NaN where an input is not recorded.
+
+        Raises
+        ------
+        LogError
+            If the log does not have all rows of one.
+        """
+        run = self._run
+        partial = self._partial
+        layout, _ = partial_layout(Layout(tuple(partial.declared.values())), shown, every=1)
+        memory = _CopiedRows(run)
+        memory.begin(Plan(layout, run.step_ns, {}, run.held, (), partial))
+        numbers = np.arange(run.steps + 1)
+        rows = np.full((len(numbers), layout.width), np.nan)
+        for channel in layout.channels:
+            needed = len(numbers[:: channel.period])
+            for signal, columns in channel.signal_columns.items():
+                if signal not in self._columns[channel.name]:
+                    continue
+                name, stride = self._columns[channel.name][signal]
+                own = as_columns(run[name])[::stride]
+                if len(own) != needed:
+                    raise LogError(
+                        f"{run.label}: expected {needed} rows of {name!r}, got {len(own)}"
+                    )
+                rows[:: channel.period, columns] = own
+        grid = run.grid
+        memory.write(
+            Block(0, grid.stamp(numbers), grid.time(numbers), step_seconds(run.step_ns)), rows
+        )
+        for event in run.events():
+            port = Port.parse(event.signal)
+            if port.signal in shown.get(port.component, ()):
+                memory.event(event)
+        return memory
 
 
 class _CopiedRows(Memory):
@@ -336,37 +367,3 @@ class _CopiedRows(Memory):
     def label(self) -> str:
         """That of the log."""
         return self._run.label
-
-
-def _copied(
-    run: CompleteRecording,
-    partial: PartialRecord,
-    layout: Layout,
-    columns: Mapping[str, _Columns],
-) -> Memory:
-    """Return the rows of copied components; NaN where an input is not recorded.
-
-    Raises
-    ------
-    LogError
-        If the log does not have all rows of one.
-    """
-    memory = _CopiedRows(run)
-    memory.begin(Plan(layout, run.step_ns, {}, run.held, (), partial))
-    numbers = np.arange(run.steps + 1)
-    rows = np.full((len(numbers), layout.width), np.nan)
-    for channel in layout.channels:
-        for signal, (name, stride) in columns[channel.name].items():
-            own = as_columns(run[name])[::stride]
-            needed = len(numbers[:: channel.period])
-            if len(own) != needed:
-                raise LogError(f"{run.label}: expected {needed} rows of {name!r}, got {len(own)}")
-            rows[:: channel.period, channel.signal_columns[signal]] = own
-    grid = run.grid
-    memory.write(Block(0, grid.stamp(numbers), grid.time(numbers), step_seconds(run.step_ns)), rows)
-    known = {channel.name: channel.by_name for channel in layout.channels}
-    for event in run.events():
-        port = Port.parse(event.signal)
-        if port.signal in known.get(port.component, ()):
-            memory.event(event)
-    return memory

@@ -1,14 +1,17 @@
-"""The experiment of a replay: the scenario of a log, with what is taken from the log."""
+"""The experiment of a replay: the scenario of a log, with what is taken from the log.
+
+A change is allowed where no recorded component would have to follow it: what the rest computed from
+its recording would belong to no run of anything.
+"""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Set
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import replace
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -16,16 +19,18 @@ from cosim.core.contracts import Design
 from cosim.core.port import Port
 from cosim.core.recorded.partial import declared_channels, partial_of
 from cosim.core.recording import CompleteRecording, SignalEvent
+from cosim.core.structure.cycles import reached_from
 from cosim.errors import LogError, ScenarioError, UsageError, option
-from cosim.instants import NANOSECONDS
+from cosim.instants import NANOSECONDS, step_value
 from cosim.log import Log
 from cosim.log.comparison.event_difference import OF_COMPONENTS
 from cosim.log.contents.metadata import decode_design
-from cosim.scenario.building.build import Builder, parse
+from cosim.scenario.building.build import Builder, read
 from cosim.scenario.building.experiment import Experiment, fingerprint
-from cosim.scenario.building.parsing import read
-from cosim.scenario.document.document import Document
-from cosim.scenario.document.swaps import PortNames, component_table, is_map_key
+from cosim.scenario.document.document import Document, short, shown
+from cosim.scenario.document.schema import ACTIONS
+from cosim.scenario.document.swaps import component_table as swapped_table
+from cosim.scenario.document.swaps import is_map_key
 from cosim.scenario.kinds.build_record import Origins, RecordedFmu
 from cosim.scenario.record import (
     MEANS,
@@ -33,23 +38,27 @@ from cosim.scenario.record import (
     ReplayOrigin,
     component_metadata,
     component_record,
+    component_table,
     recorded_loop_gains,
+    recorded_warnings,
 )
+from cosim.scenario.recordings.log_contents import recorded_channels
 from cosim.scenario.recordings.recorded_scenario import (
-    check_clock,
-    check_end,
-    check_whole,
+    check_rows,
     load_rows,
     recorded_document,
+    rerun_plants,
 )
-from cosim.scenario.recordings.replay_changes import check_changes, replay_changes
-from cosim.scenario.recordings.replayed_part import ReplayedPart, replayed_part
-
-if TYPE_CHECKING:
-    from cosim.fmi.unpacked import UnpackedFmus
-    from cosim.scenario.recordings.window import ReplayWindow
+from cosim.scenario.recordings.recording import with_reports
+from cosim.scenario.recordings.replay_request import ReplayRequest, ReplayWindow, window_of
+from cosim.scenario.recordings.replayed_part import replayed_part, way_out
 
 _RECORDED: Final = "as recorded"
+_OF_ALL_INPUTS: Final = frozenset(
+    f"scenario.{key}" for key in ("input_interpolation", "coupling", "iterations", "substeps")
+)
+_OF_COMPONENTS: Final = ("components.", "connections.")
+_TABLES: Final = ("components", "models", "connections", "scenario")
 
 
 def texts_in(value: Any) -> set[str]:
@@ -64,128 +73,29 @@ def texts_in(value: Any) -> set[str]:
     return texts
 
 
-@dataclass(frozen=True, slots=True)
-class ReplayRequest:
-    """How a log is to be replayed.
+@final
+class RebuiltRun:
+    """The scenario of a log, built again with its recorded components; only the log is needed.
 
-    Parameters
-    ----------
-    changes : mapping of dotted key to value
-    swap : mapping of component name to path
-        Components that are replaced.
-    maps : mapping of port to names
-        Ports that have other names in these.
-    components : tuple of str or None
-        The only ones to compute; None: all that can be.
-    window : ReplayWindow or None
-        What is recorded of it; None: all.
-    allow_code : bool
-        Whether the code of users' classes may run that the log names, and that of its FMUs.
-    block : int or None
-        Communication steps in a block.
-    rerun : bool
-        Whether plants are computed, too.
-    """
-
-    changes: Mapping[str, Any] = field(default_factory=dict)
-    swap: Mapping[str, str | Path] = field(default_factory=dict)
-    maps: Mapping[str, PortNames] = field(default_factory=dict)
-    components: tuple[str, ...] | None = None
-    window: ReplayWindow | None = None
-    allow_code: bool = False
-    block: int | None = None
-    rerun: bool = False
-
-    @property
-    def all_changes(self) -> Mapping[str, Any]:
-        """The changes, and the end of the window.
-
-        Raises
-        ------
-        UsageError
-            If both say where the replay ends.
-        """
-        if self.window is None:
-            return self.changes
-        if "scenario.stop" in self.changes:
-            raise UsageError(f"expected {option('set', 'scenario.stop')} or a window, got both")
-        return {**self.changes, "scenario.stop": self.window.end}
-
-
-AS_RECORDED: Final = ReplayRequest()
-
-
-def prepared_replay(
-    source: Log,
-    request: ReplayRequest,
-    resources: ExitStack,
-    unpacked: UnpackedFmus | None = None,
-) -> Experiment:
-    """Build the replay of a log; FMUs that take the places of others are unpacked once for all.
-
-    Raises
-    ------
-    LogError
-        If the log is no log of a scenario, or does not fit its scenario.
-    ScenarioError
-        With every problem of the changed scenario.
-    UsageError
-        If the recording cannot follow what is changed.
-    """
-    experiment = rebuilt(source, resources, request, unpacked)
-    document = recorded_document(source)
-    check_changes(experiment, document, request.all_changes, request.swap, request.maps)
-    copied = experiment.recorded
-    experiment.graph.take_solutions(source, copied)
-    specs = experiment.scenario.specs
-    uncomputed = dict(experiment.uncomputed)
-    window = request.window
-    if window is not None:
-        from cosim.scenario.recordings.records import recorded_channels  # rarely needed
-        from cosim.scenario.recordings.window import check_begin
-
-        check_begin(window, recorded_channels(experiment), source.grid)
-    experiment.origin = ReplayOrigin(
-        os.path.relpath(source.path),
-        source.recorded_hash or source.content_hash(),
-        copied,
-        window=None if window is None else (window.begin, window.end),
-        left_out=tuple(n for n in copied if specs[n].computable and n not in uncomputed),
-        absent=dict(experiment.absent),
-        uncomputed=uncomputed,
-    )
-    for name, text in list(_recorded_warnings(experiment, source)):
-        experiment.built.warn(name, text)
-    experiment.designs = designs = _valid_designs(experiment, source, replaced=request.swap)
-    if not (request.changes or request.swap):
-        experiment.gains = recorded_loop_gains(source)
-    if experiment.settings:
-        from cosim.scenario.building.actions import recorded_designs
-
-        recorded = recorded_designs(source).items()
-        taken = {key: design for key, design in recorded if key.partition(" ")[2] in designs}
-        experiment.setting_designs = experiment.prepare_settings(taken)
-    return experiment
-
-
-def rebuilt(
-    source: CompleteRecording,
-    resources: ExitStack,
-    request: ReplayRequest = AS_RECORDED,
-    unpacked: UnpackedFmus | None = None,
-) -> Experiment:
-    """Build the scenario of a log again, with its recorded components; only the log is needed.
+    What is changed or swapped may always run its code. Whether the recorded components allow the
+    changes is for :meth:`check_changes`.
 
     Parameters
     ----------
     source : CompleteRecording
+    request : ReplayRequest
     resources : ExitStack
         Closes what was opened.
-    request : ReplayRequest
-        What is changed or computed; whether the recorded components allow changes is for
-        :func:`check_changes`. What these name may always run its code.
-    unpacked : UnpackedFmus, optional
-        Where FMUs are unpacked and loaded for all builds of a process.
+
+    Attributes
+    ----------
+    scenario : Scenario
+        With all changes, and all components.
+    window : ReplayWindow or None
+        What is recorded of the replay; None: all.
+    part : ReplayedPart
+        Where each component is from.
+    experiment : Experiment
 
     Raises
     ------
@@ -197,203 +107,394 @@ def rebuilt(
     ScenarioError
         With every problem of the changed scenario.
     """
-    check_whole(source)
-    check_end(source)
-    wanted = request.all_changes
-    swap = request.swap
-    changes = replay_changes(source, wanted)
-    document = recorded_document(source).with_swaps(swap, request.maps).with_changes(changes)
-    scenario, problems = read(document, parse)
-    if not request.maps:
-        # recorded ports have the scenario's names: a map need not fit changed connections
-        problems = [(key, text) for key, text in problems if not is_map_key(key)]
-    named = texts_in(wanted) | _texts_of_swaps(document, swap)
-    specs = dict(scenario.specs)
-    for name, spec in scenario.specs.items():
-        is_allowed = spec.code is not None and (request.allow_code or spec.code in named)
-        if is_allowed or name in swap:
-            specs[name] = spec.with_code()
-    fmus_again: Mapping[str, RecordedFmu] = {}
-    if request.rerun:
-        from cosim.scenario.recordings.embedding import recorded_fmus, rerun_specs  # rarely needed
 
-        again = rerun_specs(source, specs, swap, allow_code=request.allow_code)
-        fmus_again = recorded_fmus(source, again, resources)
-        specs |= again
-    scenario = replace(scenario, specs=specs)
-    part = replayed_part(source, scenario, request.components)
-    load_rows(source, [name for name in part.copied if name in source.channels])
-    declared = declared_channels(source.channels)
-    builder = Builder(
-        part.scenario,
-        resources,
-        Origins(
-            recording=part.recording,
-            named=named,
-            left_out=part.left_out,
-            fmus_again=fmus_again,
-            unpacked=unpacked,
-        ),
-        problems=problems,
-        replaced={name: declared[name].interface for name in swap if name in declared},
-        beside=scenario,
-    )
-    experiment = _compared(builder, source, [name for name in swap if name in declared])
-    experiment.clock = replace(experiment.clock, block=request.block)
-    if request.rerun:
-        from cosim.scenario.recordings.embedding import add_recorded_reports
+    def __init__(
+        self,
+        source: CompleteRecording,
+        request: ReplayRequest,
+        resources: ExitStack,
+    ) -> None:
+        check_rows(source)
+        self._source = source
+        self._request = request
+        self.window: ReplayWindow | None = None
+        self._changes = {short(key): value for key, value in request.changes.items()}
+        if request.window is not None:
+            self.window = window_of(source, request.window)
+            if "scenario.stop" in self._changes:
+                raise UsageError(f"expected {option('set', 'scenario.stop')} or a window, got both")
+            self._changes["scenario.stop"] = self.window.ends[1]
+        stop = self._changes.get("scenario.stop", source.end_ns / 1e9)
+        self._check_times()
+        self._original = recorded_document(source)
+        # a run may have ended before its stop
+        document = self._edited({**self._changes, "scenario.stop": stop})
+        self.scenario = read(document)
+        problems = self.scenario.problems
+        if not request.maps:
+            # recorded ports have the scenario's names: a map need not fit changed connections
+            problems = tuple((key, text) for key, text in problems if not is_map_key(key))
+        named = self._named(document)
+        specs = dict(self.scenario.specs)
+        for name, spec in specs.items():
+            is_allowed = spec.code is not None and (request.allow_code or spec.code in named)
+            if is_allowed or name in request.swaps:
+                specs[name] = spec.with_code()
+        fmus_again: Mapping[str, RecordedFmu] = {}
+        if request.rerun:
+            again, fmus_again = rerun_plants(source, specs, request, resources)
+            specs |= again
+        self.scenario = replace(self.scenario, specs=specs, problems=problems)
+        self.part = replayed_part(source, self.scenario, request.components)
+        load_rows(source, [name for name in self.part.copied if name in source.channels])
+        declared = declared_channels(source.channels)
+        replaced = {n: declared[n].interface for n in request.swaps if n in declared}
+        self._builder = Builder(
+            self.part.scenario,
+            resources,
+            Origins(
+                recording=self.part.recording,
+                named=named,
+                left_out=self.part.left_out,
+                fmus_again=fmus_again,
+            ),
+            replaced=replaced,
+            beside=self.scenario,
+        )
+        self.experiment = self._compared(replaced)
+        self._finish()
 
-        add_recorded_reports(experiment, source)
-    _add_part(experiment, part)
-    if part.recording is not source and not (wanted or swap):
-        _check_held(experiment, source)
-    check_clock(experiment.clock, source)
-    if "scenario.until" not in changes:  # it ends where the recording does
-        experiment.until = None
-    _add_events(experiment, builder, source)
-    return experiment
+    # --- its scenario ---
 
+    def _check_times(self) -> None:
+        """Check that no communication point or action changes, and the end is in the recording.
 
-def _texts_of_swaps(document: Document, swap: Collection[str]) -> set[str]:
-    """Return the texts in the tables of the components that take the places of others.
+        Raises
+        ------
+        UsageError
+            If they do, or it is not.
+        """
+        step = step_value(self._source.step_ns)
+        fixed = {
+            "scenario.step": f"the recorded {step} s",
+            "scenario.start_time": "the recorded one",
+        }
+        recorded_end = self._source.end_ns / 1e9
+        for name, value in self._changes.items():
+            if name in fixed:
+                raise UsageError(
+                    f"{name}: expected {fixed[name]}, got {value} s; run the scenario to change it"
+                )
+            if name.partition(".")[0] == ACTIONS:
+                raise UsageError(
+                    f"{option('set', name)}: a replay repeats the recorded actions; run the "
+                    "scenario to change them"
+                )
+            is_end = name == "scenario.stop" and isinstance(value, (int, float))
+            if is_end and value > recorded_end:
+                raise UsageError(
+                    f"{option('set', name)}: expected at most {recorded_end} s (end of the "
+                    f"recording), got {value} s"
+                )
 
-    Raises
-    ------
-    ScenarioError
-        If a path is that of no component.
-    """
-    texts: set[str] = set()
-    for name in swap:
+    def _edited(self, changes: Mapping[str, Any]) -> Document:
+        """Return the document with the swaps and some changes."""
+        swapped = self._original.with_swaps(self._request.swaps, self._request.maps)
+        return swapped.with_changes(changes)
+
+    def _named(self, document: Document) -> set[str]:
+        """Return the texts of the request: in changes, and the tables of what is swapped.
+
+        Raises
+        ------
+        ScenarioError
+            If a path is that of no component.
+        """
+        named = texts_in(self._changes)
+        for name in self._request.swaps:
+            try:
+                named |= texts_in(swapped_table(name, document.swaps[name]))
+            except UsageError as error:
+                raise ScenarioError(f"{option('swap', name)}: {error}") from error
+        return named
+
+    # --- its experiment ---
+
+    def _compared(self, swapped: Mapping[str, object]) -> Experiment:
+        """Build, with reports on how swapped components compare with the recorded ones.
+
+        Raises
+        ------
+        ScenarioError
+            With every problem of the scenario, and the ports that may have been meant.
+        """
+        builder = self._builder
+        names = [name for name in swapped if name in builder.components]
+        if not names:
+            return builder.experiment()
+        from cosim.scenario.recordings.swap_comparison import compare_with_recorded
+        from cosim.scenario.recordings.swap_report import SwapReports
+
+        source = self._source
+        reports = SwapReports(
+            {name: compare_with_recorded(builder, source, name) for name in names}
+        )
         try:
-            texts |= texts_in(component_table(name, document.swaps[name]))
-        except UsageError as error:
-            raise ScenarioError(f"{option('swap', name)}: {error}") from error
-    return texts
+            return with_reports(builder.experiment(), reports)
+        except ScenarioError as error:
+            raise ScenarioError("\n".join([str(error), *reports.hints])) from error
+
+    def _finish(self) -> None:
+        """Fill in what the recording says of the run, and check that the replay fits it.
+
+        Raises
+        ------
+        LogError
+            If the scenario has not the communication points of the rows; as from the checks.
+        """
+        source = self._source
+        experiment = self.experiment
+        part = self.part
+        clock = experiment.clock = replace(experiment.clock, block=self._request.block)
+        if self._request.rerun:
+            self._add_recorded_reports()
+        for name, reason in {**part.uncomputed, **part.absent}.items():
+            verb = "not in this replay" if name in part.absent else "copied, not computed"
+            experiment.built.warn(name, f"{verb}: {reason}")
+        if part.recording is not source and self._request.is_as_recorded:
+            self._check_held()
+        if clock.grid != source.grid:
+            raise LogError(
+                f"{source.label}: the scenario has steps of {clock.step_ns} ns from "
+                f"{clock.start_ns} ns on, but the rows have steps of {source.step_ns} ns from "
+                f"{source.grid.start_ns} ns on"
+            )
+        if "scenario.until" not in self._changes:  # it ends where the recording does
+            experiment.until = None
+        events = [event for event in source.events() if event.cause != "jump"]
+        experiment.events = tuple(filter(self._happens, events))
+        experiment.settings = {}
+        if any(event.cause == "set" for event in experiment.events):
+            from cosim.scenario.building.actions import SettingBuilder, recorded_settings
+
+            builder = self._builder
+            making = SettingBuilder(experiment.scenario, builder.context, builder.components)
+            experiment.settings = recorded_settings(making, experiment.events, part.copied)
+
+    def _add_recorded_reports(self) -> None:
+        """Add the recorded swap reports of what is computed again.
+
+        What a plant of the run had replaced is not there any more to be compared with.
+        """
+        from cosim.scenario.recordings.swap_report import SWAP_WARNINGS
+
+        built = self.experiment.built
+        compared = {name for name, table in built.metadata.items() if "swap_report" in table}
+        again = built.metadata.keys() - set(self.part.copied) - compared
+        for name in again:
+            recorded = component_table(self._source, name)
+            if "swap_report" in recorded:
+                built.add_metadata(name, {"swap_report": recorded["swap_report"]})
+        for name, text in recorded_warnings(self._source):
+            if name in again and text.startswith(SWAP_WARNINGS):
+                built.warn(name, text)
+
+    def _check_held(self) -> None:
+        """Check that what is computed takes its inputs as it did in the run.
+
+        Raises
+        ------
+        LogError
+            If an input is held that was interpolated, or the other way round; or an FMU gets the
+            mean of one over a step that had the latest value.
+        """
+        source = self._source
+        graph = self.experiment.graph
+        masks = source.held
+        all_means = graph.mean_inputs
+        for name in self.part.scenario.specs:
+            if name in self.part.copied:
+                continue
+            means = component_metadata(source, name).get(MEANS)  # older logs tell nothing
+            own_means = json.dumps(all_means.get(name, []))
+            has_other_mask = not np.array_equal(masks[name], graph.held[name])
+            if has_other_mask or means not in (None, own_means):
+                raise LogError(
+                    f"{source.label}: {name!r} cannot be computed as in the run: how its inputs "
+                    "change within a step depends on signals that the log does not have"
+                )
+
+    def _happens(self, event: SignalEvent) -> bool:
+        """Return whether a replay has what an event is about.
+
+        Of a partial log a copied component need not have all of its signals: nothing that is
+        computed rests on the others.
+        """
+        if partial_of(self._source.channels) is None:
+            return True
+        port = Port.parse(event.signal)
+        component = self.experiment.graph.components.get(port.component)
+        if component is None:
+            return False
+        return event.cause in OF_COMPONENTS or port.find(component.interface.by_name) is not None
+
+    # --- what may be changed ---
+
+    def check_changes(self) -> None:
+        """Check that no recorded component is changed, or driven by what is changed.
+
+        Raises
+        ------
+        UsageError
+            If a change reaches a recorded component; names the change.
+        """
+        copied = self.part.copied
+        drivers = self.scenario.drivers
+        # a recorded one passes nothing on
+        free = {name: drivers[name] for name in drivers if name not in copied}
+        behind = {name: reached_from(drivers[name], free).keys() for name in copied}
+        before = self._original.tables().tree
+        for change, document in self._changed_documents():
+            after = document.tables().tree
+            refusal = self._refusal(_changed_tables(before, after), behind)
+            if refusal:
+                raise UsageError(f"{change}: {refusal}")
+            before = after
+
+    def _changed_documents(self) -> Iterator[tuple[str, Document]]:
+        """Yield the name of every change, and the document with it and all before it."""
+        document = self._edited({})
+        if self._request.swaps:
+            yield option("swap", next(iter(self._request.swaps))), document
+        for key, value in self._changes.items():
+            document = document.with_changes({key: value})
+            yield option("set", shown(key)), document
+
+    def _refusal(self, tables: Set[str], behind: Mapping[str, Set[str]]) -> str:
+        """Return why tables cannot change: what they reach is recorded, or not here at all.
+
+        Parameters
+        ----------
+        tables : set of str
+        behind : mapping of component name to set of str
+            The components that the inputs of each recorded one follow.
+        """
+        part = self.part
+        changed = {table.split(".")[1] for table in tables if table.startswith(_OF_COMPONENTS)}
+        reads = self.experiment.built.reads
+        changed |= {name for name in reads if not tables.isdisjoint(reads[name])}
+        for name, reason in part.absent.items():
+            if name in changed:
+                return f"{name!r} is not in this replay: {reason}"
+        for name in part.copied:
+            if name in changed:
+                return f"{name!r} is taken from the recording; {self._way_out(name)}"
+        for name in part.copied:
+            text = ""
+            if not changed.isdisjoint(behind[name]):
+                text = f"this changes {min(changed & behind[name])!r}, on which {name!r} depends"
+            elif behind[name] and not tables.isdisjoint(_OF_ALL_INPUTS):
+                text = f"this may change the inputs of {name!r}"
+            if text:
+                return (
+                    f"{text}; {name!r} is taken from the recording and cannot follow: "
+                    f"{self._way_out(name)}"
+                )
+        return ""
+
+    def _way_out(self, name: str) -> str:
+        """Return the way out where a recorded component would have to change."""
+        spec = self.scenario.specs[name]
+        further = self.part.uncomputed.get(name) or way_out(spec)
+        if spec.computable:
+            return further
+        return "run the scenario to change it" + (f", or {further}" if further else "")
 
 
-def _compared(builder: Builder, source: CompleteRecording, swapped: Collection[str]) -> Experiment:
-    """Build an experiment, with reports on how swapped components compare with the recorded ones.
-
-    Raises
-    ------
-    ScenarioError
-        With every problem of the scenario, and the ports that may have been meant.
-    """
-    names = [name for name in swapped if name in builder.components]
-    if not names:
-        return builder.experiment()
-    from cosim.scenario.recordings.recording import with_reports
-    from cosim.scenario.recordings.swap_comparison import compare_with_recorded
-    from cosim.scenario.recordings.swap_report import SwapReports
-
-    reports = SwapReports({name: compare_with_recorded(builder, source, name) for name in names})
-    try:
-        return with_reports(builder.experiment(), reports)
-    except ScenarioError as error:
-        raise ScenarioError("\n".join([str(error), *reports.hints])) from error
+def _changed_tables(before: Mapping[str, Any], after: Mapping[str, Any]) -> set[str]:
+    """Return the tables that differ, such as ``components.u``, and the keys of [scenario]."""
+    changed = set()
+    for table in _TABLES:
+        first = before.get(table, {})
+        second = after.get(table, {})
+        for name in {*first, *second}:
+            if first.get(name) != second.get(name):
+                changed.add(f"{table}.{name}")
+    return changed
 
 
-def _add_part(experiment: Experiment, part: ReplayedPart) -> None:
-    """Fill in what is not in an experiment, and warn of that."""
-    for name, reason in {**part.uncomputed, **part.absent}.items():
-        verb = "not in this replay" if name in part.absent else "copied, not computed"
-        experiment.built.warn(name, f"{verb}: {reason}")
-    experiment.absent = part.absent
-    experiment.uncomputed = part.uncomputed
-
-
-def _check_held(experiment: Experiment, source: CompleteRecording) -> None:
-    """Check that what is computed takes its inputs as it did in the run.
+def prepared_replay(
+    source: Log,
+    request: ReplayRequest,
+    resources: ExitStack,
+) -> Experiment:
+    """Build the replay of a log, with what it takes from there; parameters as of RebuiltRun.
 
     Raises
     ------
     LogError
-        If an input is held that was interpolated, or the other way round; or an FMU gets the mean
-        of one over a step that had the latest value.
+        If the log is no log of a scenario, or does not fit its scenario.
+    ScenarioError
+        With every problem of the changed scenario.
+    UsageError
+        If the recording cannot follow what is changed.
     """
-    masks = source.held
-    graph = experiment.graph
-    all_means = graph.mean_inputs
-    for name in experiment.scenario.specs:
-        if name in experiment.recorded:
-            continue
-        means = component_metadata(source, name).get(MEANS)  # older logs tell nothing
-        own_means = json.dumps(all_means.get(name, []))
-        has_other_mask = not np.array_equal(masks[name], graph.held[name])
-        if has_other_mask or means not in (None, own_means):
-            raise LogError(
-                f"{source.label}: {name!r} cannot be computed as in the run: how its inputs "
-                "change within a step depends on signals that the log does not have"
-            )
-
-
-def _add_events(experiment: Experiment, builder: Builder, source: CompleteRecording) -> None:
-    """Fill in the events of the recording, and what sets parameters in them.
-
-    What jumps by itself does so again. Of a partial log a copied component need not have all of its
-    signals: nothing that is computed rests on the others.
-    """
-    is_partial = partial_of(source.channels) is not None
-
-    def happens(event: SignalEvent) -> bool:
-        """Return whether a replay has what an event is about."""
-        if not is_partial:
-            return True
-        port = Port.parse(event.signal)
-        if port.component not in experiment.graph.components:
-            return False
-        known = experiment.graph.components[port.component].interface.by_name
-        return event.cause in OF_COMPONENTS or port.find(known) is not None
-
-    events = [event for event in source.events() if event.cause != "jump"]
-    experiment.events = tuple(filter(happens, events))
-    experiment.settings = {}
-    if any(event.cause == "set" for event in experiment.events):
-        from cosim.scenario.building.actions import SettingBuilder, recorded_settings
-
-        making = SettingBuilder(experiment.scenario, builder.context, builder.components)
-        experiment.settings = recorded_settings(making, experiment.events, experiment.recorded)
-
-
-def _recorded_warnings(experiment: Experiment, source: Log) -> Iterator[tuple[str, str]]:
-    """Yield what the run warned of that is not found again: of what is copied, and of the whole."""
-    again = experiment.graph.components.keys() - set(experiment.recorded)
+    run = RebuiltRun(source, request, resources)
+    run.check_changes()
+    experiment = run.experiment
+    part = run.part
+    experiment.graph.take_solutions(source, part.copied)
+    if run.window is not None:
+        run.window.check_begin(recorded_channels(experiment), source.grid)
+    experiment.origin = ReplayOrigin(
+        os.path.relpath(source.path),
+        source.recorded_hash or source.content_hash(),
+        part.copied,
+        window=None if run.window is None else run.window.ends,
+        left_out=tuple(name for name in part.left_out if name not in part.uncomputed),
+        absent=part.absent,
+        uncomputed=part.uncomputed,
+    )
+    # what the run warned of that is not found again: of what is copied, and of the whole
+    again = experiment.graph.components.keys() - set(part.copied)
+    known = set(experiment.built.warnings)
     for time_ns, _, name, text in source.warnings:
-        is_left = name in again or name in experiment.absent or name == "run"
-        if is_left or (name, text) in experiment.built.warnings:
+        is_left = name in again or name in part.absent or name == "run"
+        if is_left or (name, text) in known:
             continue
         if not text.startswith(_RECORDED):
             text = f"{_RECORDED} at t = {time_ns / NANOSECONDS} s: {text}"
-        yield name, text
+        experiment.built.warn(name, text)
+    recorded = source.designs
+    kept = [name for name in experiment.scenario.specs if name not in request.swaps]
+    kept = [name for name in kept if _keeps_design(run, source, name)]
+    experiment.designs = {name: recorded[name] for name in kept}
+    if request.is_as_recorded:
+        experiment.gains = recorded_loop_gains(source)
+    if experiment.settings:
+        from cosim.scenario.building.actions import recorded_designs
+
+        of_settings = recorded_designs(source).items()
+        taken = {key: design for key, design in of_settings if key.partition(" ")[2] in kept}
+        experiment.setting_designs = experiment.prepare_settings(taken)
+    return experiment
 
 
-def _valid_designs(
-    experiment: Experiment, source: Log, *, replaced: Collection[str]
-) -> dict[str, Design]:
-    """Return the recorded designs that still hold: those that rest on nothing that changed.
-
-    Those of ``replaced`` components do not.
-    """
-    recorded_designs = source.designs
-    recorded_masks = source.held
-
-    def holds(name: str) -> bool:
-        if name in replaced:
+def _keeps_design(run: RebuiltRun, source: Log, name: str) -> bool:
+    """Return whether the recorded design of a component holds: it rests on nothing that changed."""
+    experiment = run.experiment
+    if name in run.part.copied:
+        return True
+    current = fingerprint(experiment.scenario, name, experiment.built.reads[name])
+    if component_metadata(source, name).get("fingerprint") != current:
+        return False
+    if experiment.scenario.specs[name].code is not None:
+        code = experiment.built.metadata.get(name, {}).get("code")
+        recorded = component_record(source, name).code
+        if code is None or CodeRecord.model_validate(code) != recorded:
             return False
-        if name in experiment.recorded:
-            return True
-        current = fingerprint(experiment.scenario, name, experiment.built.reads[name])
-        if component_metadata(source, name).get("fingerprint") != current:
-            return False
-        if experiment.scenario.specs[name].code is not None:
-            code = experiment.built.metadata.get(name, {}).get("code")
-            recorded = component_record(source, name).code
-            if code is None or CodeRecord.model_validate(code) != recorded:
-                return False
-        held = experiment.graph.held[name]
-        return name in recorded_masks and np.array_equal(recorded_masks[name], held)
-
-    return {name: recorded_designs[name] for name in experiment.scenario.specs if holds(name)}
+    mask = source.held.get(name)
+    return mask is not None and np.array_equal(mask, experiment.graph.held[name])
 
 
 def designs_anew(experiment: Experiment) -> dict[str, Design]:

@@ -1,18 +1,16 @@
 """Before a run: build a scenario with its swaps and without them, and compare the components.
 
 The scenario is built without its swaps, as far as it can be, and with them. Both are initialized,
-the components that are compared are linearized where they can be, and those that were replaced are
-freed again. The swapped scenario is the very one that then runs: it is initialized once more. It is
-built anew only if its FMUs do not come back from that as they were.
+and the components that are compared are linearized where they can be. All of that is closed again:
+the run begins with components of its own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import replace
-from functools import partial
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -20,50 +18,87 @@ from cosim.arrays import Vector
 from cosim.core.contracts import prepare
 from cosim.core.port import Port, named_ports
 from cosim.core.recorded.partial import declared_channels
-from cosim.core.recording import CompleteRecording, Plan
-from cosim.core.signals import Causality, Interface
-from cosim.errors import CosimError, GraphError, ScenarioError
+from cosim.core.recording import CompleteRecording
+from cosim.core.signals import Interface
+from cosim.errors import CosimError, ScenarioError
 from cosim.fmi.description import INTERFACE_TYPE_NAMES
 from cosim.log.contents.metadata import json_table
-from cosim.scenario.building.build import Builder, parse
+from cosim.scenario.building.build import Builder, read
 from cosim.scenario.building.coupling import with_loop_gains
 from cosim.scenario.building.experiment import Experiment, warnings_among
-from cosim.scenario.building.parsing import Scenario, read
 from cosim.scenario.document.swaps import ports_in
-from cosim.scenario.kinds.base import LinearNearStart
-from cosim.scenario.kinds.build_record import Origins
+from cosim.scenario.kinds.base import LinearNearStart, Scenario
+from cosim.scenario.kinds.build_record import Resources
 from cosim.scenario.kinds.capabilities import HasDescription
 from cosim.scenario.kinds.values import LinearSystem
 from cosim.scenario.record import component_metadata, component_record
 from cosim.scenario.recordings.port_comparison import (
     CAPABILITIES,
     INITIAL,
-    NOMINAL,
     START,
-    ComparedComponent,
-    compare_components,
+    DescribedComponent,
+    compare,
+    describe,
     propose,
 )
 from cosim.scenario.recordings.swap_report import SwapReport, SwapReports
 
 if TYPE_CHECKING:
     from cosim.fmi.unpacked import UnpackedFmus
-    from cosim.fmi.variable import Variable
 
 _INITIAL_INPUT: Final = "initial input"
-_PortValues: TypeAlias = dict[str, Mapping[str, Vector]]  # by aspect and port
 
 
 def compare_swaps(scenario: Scenario, unpacked: UnpackedFmus | None = None) -> SwapReports:
     """Compare every swapped component with the one it replaces; nothing runs or stays open.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    unpacked : UnpackedFmus, optional
+        Where FMUs are unpacked and loaded for all builds of a process.
 
     Raises
     ------
     ScenarioError
         If nothing of the scenario can be built.
     """
-    with ExitStack() as resources:
-        return _SwapComparison(scenario, resources, unpacked).reports
+    before: dict[str, DescribedComponent] = {}
+    replaced: dict[str, Interface] = {}
+    unbuilt: dict[str, str] = {}
+    with Resources(unpacked) as resources, suppress(CosimError):
+        builder = Builder(read(scenario.document.unswapped()), resources)
+        built = _Built(builder)
+        for name in scenario.document.tables().replaced:
+            if name in builder.components:
+                before[name] = built.described(name)
+                replaced[name] = builder.components[name].interface
+                continue
+            for key, text in builder.problems:
+                if key[:2] == ("components", name):
+                    unbuilt.setdefault(name, text)
+    with Resources(unpacked) as resources:
+        builder = Builder(scenario, resources, replaced=replaced)
+        built = _Built(builder)
+        warnings = list(builder.context.warnings)
+        warnings += warnings_among({n: fmu.drain() for n, fmu in builder.context.fmus.items()})
+        reports = {}
+        for name, component in before.items():
+            if name in builder.components:
+                reports[name] = _report(builder, name, component, built.described(name, component))
+        imported = {}
+        for name, metadata in builder.context.metadata.items():
+            if "code" in metadata:
+                imported[name] = str(metadata["code"]["class"])
+    return SwapReports(
+        reports,
+        tuple(built.problems),
+        built.failure,
+        imported,
+        tuple(dict.fromkeys(warnings)),
+        unbuilt,
+        replaced,
+    )
 
 
 def dry_run(scenario: Scenario) -> SwapReports:
@@ -74,34 +109,21 @@ def dry_run(scenario: Scenario) -> SwapReports:
     ScenarioError
         If nothing of the scenario can be built.
     """
+    reports = compare_swaps(scenario)
+    if reports.refusals:
+        return reports
     with ExitStack() as resources:
-        comparison = _SwapComparison(scenario, resources)
-        reports = comparison.reports
-        if reports.refusals:
-            return reports
+
+        def build() -> Experiment:
+            resources.close()
+            return Builder(scenario, resources, replaced=reports.replaced).experiment()
+
         try:
-            experiment = with_loop_gains(comparison.experiment(), comparison.rebuilt)
+            experiment = with_loop_gains(build(), build)
         except ScenarioError as error:
             return replace(reports, problems=tuple(str(error).splitlines()))
         warnings = dict.fromkeys([*reports.of_run, *experiment.built.warnings])
-        return replace(reports, of_run=tuple(warnings))
-
-
-def build_swapped(
-    scenario: Scenario,
-    resources: ExitStack,
-    unpacked: UnpackedFmus | None = None,
-) -> tuple[Experiment, SwapReports]:
-    """Build a scenario with swaps, and the reports of these; parameters as of ``Builder``.
-
-    Raises
-    ------
-    ScenarioError
-        With every problem of the scenario, and the ports that may have been meant.
-    """
-    comparison = _SwapComparison(scenario, resources, unpacked)
-    comparison.reports.check()
-    return comparison.experiment(), comparison.reports
+    return replace(reports, of_run=tuple(warnings))
 
 
 def compare_with_recorded(builder: Builder, source: CompleteRecording, name: str) -> SwapReport:
@@ -114,202 +136,93 @@ def compare_with_recorded(builder: Builder, source: CompleteRecording, name: str
     if interface_type is not None:
         kind = INTERFACE_TYPE_NAMES[interface_type]
     declared = declared_channels(source.channels)[name].interface
-    return _report(
-        builder, name, ComparedComponent(declared, {"kind": kind}), _declared(builder, name)
-    )
+    before = describe(declared, {"kind": kind})
+    return _report(builder, name, before, _declared(builder, name, {}))
 
 
-class _InitialState:
-    """A built scenario, prepared and initialized as far as possible.
+class _Built:
+    """A scenario that was built, prepared and initialized as far as possible.
 
     Attributes
     ----------
-    experiment : Experiment or None
-        None: ``problems`` says why it could not be built.
+    problems : list of str
+        Why it could not be built.
     failure : str
         Why it could not be initialized; empty: it was.
     """
 
     def __init__(self, builder: Builder) -> None:
         self._builder = builder
-        self.experiment: Experiment | None = None
+        self._initial: dict[str, tuple[Vector, Vector]] = {}  # inputs and outputs
         self.problems: list[str] = []
         self.failure = ""
-        self.plan: Plan | None = None
-        self._row = np.zeros(0)
         try:
-            self.experiment = builder.experiment()
+            graph = builder.experiment().graph
         except ScenarioError as error:
             self.problems = str(error).splitlines()
             return
-        graph = self.experiment.graph
-        self._row = np.zeros(graph.layout.width)
+        row = np.zeros(graph.layout.width)
         try:
-            self.plan = graph.prepare(self.experiment.clock.step_ns)
-            graph.initialize(self.experiment.clock.start_time, self._row)
+            graph.prepare(builder.context.step_ns)
+            graph.initialize(builder.clock.start_time, row)
         except CosimError as error:
             self.failure = str(error)
+            return
+        for channel in graph.layout.channels:
+            self._initial[channel.name] = (row[channel.inputs], row[channel.outputs])
 
-    @property
-    def repeats(self) -> bool:
-        """Whether the scenario can be initialized again, to the same bits."""
-        if self.experiment is None or self.failure:
-            return False
-        row = np.zeros_like(self._row)
-        try:
-            self.experiment.graph.initialize(self.experiment.clock.start_time, row)
-        except CosimError:
-            return False
-        return row.tobytes() == self._row.tobytes()
-
-    def component(self, name: str, before: ComparedComponent | None = None) -> ComparedComponent:
+    def described(self, name: str, before: DescribedComponent | None = None) -> DescribedComponent:
         """Return what is known of a component that was built.
 
         Where the scenario could not be initialized, it may be alone, as the one before it was.
         """
-        values: _PortValues = {}
-        if self.experiment is not None and not self.failure:
-            channel = self.experiment.graph.layout[name]
-            rows = (self._row[channel.inputs], self._row[channel.outputs])
-            values = _initial_values(channel.interface, *rows)
-        elif before is not None and _INITIAL_INPUT in before.values:
-            values = self._initialized_alone(name, before.values[_INITIAL_INPUT])
-        declared = _declared(self._builder, name)
-        system = _linear_system(self._builder, name)
-        return replace(declared, values={**declared.values, **values}, system=system)
+        initial = self._initial.get(name)
+        if initial is None and before is not None:
+            initial = self._initialized_alone(name, before)
+        interface = self._builder.components[name].interface
+        numbers = {}
+        if initial is not None:
+            u, y = initial
+            inputs = interface.input_columns().items()
+            outputs = interface.output_columns().items()
+            numbers[_INITIAL_INPUT] = {port: u[columns] for port, columns in inputs}
+            numbers[INITIAL] = {port: y[columns] for port, columns in outputs}
+        declared = _declared(self._builder, name, numbers)
+        return replace(declared, system=_linear_system(self._builder, name))
 
-    def _initialized_alone(self, name: str, inputs: Mapping[str, Vector]) -> _PortValues:
+    def _initialized_alone(
+        self, name: str, before: DescribedComponent
+    ) -> tuple[Vector, Vector] | None:
         """Initialize a component with the inputs that the one before had; others are zero."""
         component = self._builder.components[name]
         interface = component.interface
         u = np.zeros(interface.n_u)
+        known = {port: own.numbers for port, own in before.ports.items()}
+        if not any(INITIAL in numbers for numbers in known.values()):
+            return None
         for port, columns in interface.input_columns().items():
-            if port in inputs and u[columns].shape == inputs[port].shape:
-                u[columns] = inputs[port]
+            values = known.get(port, {}).get(_INITIAL_INPUT, [])
+            if u[columns].shape == (len(values),):
+                u[columns] = values
         clock = self._builder.clock
         with suppress(CosimError):
             prepare(component, clock.h, np.zeros(len(u), np.bool_), {})
             component.initialize(clock.start_time, u)
-            return _initial_values(interface, u, component.outputs(clock.start_time, u))
-        return {}
-
-
-def _initial_values(interface: Interface, u: Vector, y: Vector) -> _PortValues:
-    """Return inputs and outputs at initialization, by port."""
-    return {
-        _INITIAL_INPUT: {name: u[own] for name, own in interface.input_columns().items()},
-        INITIAL: {name: y[own] for name, own in interface.output_columns().items()},
-    }
-
-
-class _SwapComparison:
-    """A swapped scenario that was built, initialized and compared with the one before."""
-
-    def __init__(
-        self,
-        scenario: Scenario,
-        resources: ExitStack,
-        unpacked: UnpackedFmus | None = None,
-    ) -> None:
-        before, unbuilt = _replaced_components(scenario, unpacked)
-        replaced = {name: component.interface for name, component in before.items()}
-        origins = Origins(unpacked=unpacked)
-        self._resources = resources
-        self._builder = partial(Builder, scenario, resources, origins, replaced=replaced)
-        builder = self._builder()
-        fmus = builder.context.fmus
-        # The messages of FMUs from when they are loaded belong to the run, those of the comparison
-        # do not.
-        self._messages = {name: fmu.drain() for name, fmu in fmus.items()}
-        self._initial = _InitialState(builder)
-        of_run = warnings_among(self._messages)
-        of_run += warnings_among({name: fmu.drain() for name, fmu in fmus.items()})
-        reports = {}
-        for name, component in before.items():
-            if name in builder.components:
-                after = self._initial.component(name, component)
-                reports[name] = _report(builder, name, component, after)
-        imported = {}
-        for name, metadata in builder.context.metadata.items():
-            if "code" in metadata:
-                imported[name] = str(metadata["code"]["class"])
-        self.reports = SwapReports(
-            reports,
-            tuple(self._initial.problems),
-            self._initial.failure,
-            imported,
-            tuple(dict.fromkeys([*builder.context.warnings, *of_run])),
-            unbuilt,
-        )
-        self._repeats = self._initial.repeats
-        for fmu in fmus.values():
-            fmu.discard()
-
-    def experiment(self) -> Experiment:
-        """Return the experiment; it is built again where the first one cannot run any more.
-
-        Raises
-        ------
-        ScenarioError
-            With every problem of the scenario.
-        """
-        experiment = self._initial.experiment
-        if experiment is None or not self._repeats:
-            return self.rebuilt()
-        experiment.plan = self._initial.plan
-        experiment.messages = self._messages
-        return experiment
-
-    def rebuilt(self) -> Experiment:
-        """Return the experiment, built anew."""
-        self._resources.close()
-        return self._builder().experiment()
-
-
-def _replaced_components(
-    scenario: Scenario, unpacked: UnpackedFmus | None
-) -> tuple[dict[str, ComparedComponent], dict[str, str]]:
-    """Build the scenario without its swaps, as far as it can be.
-
-    Of what is replaced and could not be built the first problem.
-    """
-    components: dict[str, ComparedComponent] = {}
-    unbuilt: dict[str, str] = {}
-    with ExitStack() as resources, suppress(CosimError):
-        original, problems = read(scenario.document.unswapped(), parse)
-        builder = Builder(original, resources, Origins(unpacked=unpacked), problems=problems)
-        state = _InitialState(builder)
-        for name in scenario.document.swapped_components():
-            if name in builder.components:
-                components[name] = state.component(name)
-                continue
-            for key, text in builder.problems:
-                if key[:2] == ("components", name):
-                    unbuilt.setdefault(name, text)
-    return components, unbuilt
-
-
-def _report(
-    builder: Builder, name: str, before: ComparedComponent, after: ComparedComponent
-) -> SwapReport:
-    names = builder.port_maps[name].names if name in builder.port_maps else {}
-    connected = _names_of(_named_ports(builder.scenario), name)
-    refused = _names_of(_refused_ports(builder), name)
-    rows = compare_components(before, after, names=names, connected=connected, refused=refused)
-    missing = [port for port in before.ports if port in connected and after.port(port) is None]
-    unconverted = frozenset(_names_of(_unconverted_ports(builder), name))
-    return SwapReport(name, rows, propose(before, after, missing), unconverted)
+            return u, component.outputs(clock.start_time, u)
+        return None
 
 
 # --- one component ---
 
 
-def _declared(builder: Builder, name: str) -> ComparedComponent:
-    """Return what a component that was built declares."""
+def _declared(
+    builder: Builder, name: str, numbers: Mapping[str, Mapping[str, Vector]]
+) -> DescribedComponent:
+    """Return what a component that was built declares, beside ``numbers`` that are known of it."""
     spec = builder.scenario.specs[name]
     interface = builder.components[name].interface
     if not isinstance(spec, HasDescription):
-        return ComparedComponent(interface, {"kind": spec.kind})
+        return describe(interface, {"kind": spec.kind}, numbers)
     interface_type, description = spec.description(name, builder.context)
     declared = description.capabilities[interface_type]
     steps = interface_type == "me"  # our solver takes any step and interpolates its inputs
@@ -321,35 +234,8 @@ def _declared(builder: Builder, name: str) -> ComparedComponent:
     )
     capabilities: dict[str, Any] = {"kind": INTERFACE_TYPE_NAMES[interface_type]}
     capabilities |= zip(CAPABILITIES, able, strict=True)
-
-    def values(causality: Causality, values_of: Callable[[Variable], Vector]) -> dict[str, Vector]:
-        parts = [np.zeros(0)]
-        for _, variables in description.ports(causality):
-            parts += map(values_of, variables)
-        of_all = np.concatenate(parts)
-        columns = interface.input_columns() if causality == "input" else interface.output_columns()
-        ports = builder.port_maps.get(name)
-        if ports is not None:
-            is_input = causality == "input"
-            of_all = ports.shown_inputs(of_all) if is_input else ports.shown_outputs(of_all)
-        return {
-            port: of_all[own] for port, own in columns.items() if not np.isnan(of_all[own]).any()
-        }
-
-    nominal = values("input", _nominal) | values("output", _nominal)
-    return ComparedComponent(
-        interface, capabilities, {START: values("input", _start), NOMINAL: nominal}
-    )
-
-
-def _start(variable: Variable) -> Vector:
-    if variable.start is None:
-        return np.full(variable.size, np.nan)
-    return np.array(variable.start, np.float64).reshape(-1)
-
-
-def _nominal(variable: Variable) -> Vector:
-    return np.full(variable.size, np.nan if variable.nominal is None else variable.nominal)
+    starts = {signal.name: np.array(signal.initial_values) for signal in interface.inputs}
+    return describe(interface, capabilities, {START: starts, **numbers})
 
 
 def _linear_system(builder: Builder, name: str) -> LinearSystem | None:
@@ -370,51 +256,53 @@ def _linear_system(builder: Builder, name: str) -> LinearSystem | None:
     return replace(system, B=B, C=C, D=D)
 
 
-# --- ports that the scenario names ---
-
-
-def _named_ports(scenario: Scenario) -> Iterable[Port]:
-    """Yield the ports that the scenario names."""
+def _report(
+    builder: Builder, name: str, before: DescribedComponent, after: DescribedComponent
+) -> SwapReport:
+    """Compare a component with the one that it replaces, as far as the scenario names ports."""
+    named: list[Port] = []
+    refused: list[Port] = []
+    unconverted: list[Port] = []
+    with_unit = set()
+    for other, component in builder.components.items():
+        signals = component.interface.signals
+        with_unit |= {f"{other}.{signal.name}" for signal in signals if signal.unit is not None}
+    scenario = builder.scenario
     for to, connection in scenario.connections.items():
-        yield from (to, *connection.sources)
+        ports = [to, *connection.sources]
+        named += ports
+        undeclared = [port for port in ports if with_unit.isdisjoint({str(port), str(port.whole)})]
+        if to in undeclared:
+            unconverted += connection.sources
+        if connection.unit is None and undeclared not in ([], [to]):
+            unconverted.append(to)
     for estimate, truth in scenario.file.truth.items():
-        yield from ports_in([estimate, *named_ports(truth)])
+        ports = ports_in([estimate, *named_ports(truth)])
+        named += ports
+    truths = scenario.file.truth
+    for (table, *entry), _ in builder.problems:
+        if table == "connections":
+            for to in ports_in(entry):
+                refused += [
+                    to,
+                    *(scenario.connections[to].sources if to in scenario.connections else ()),
+                ]
+        elif table == "truth" and entry:
+            refused += ports_in([str(entry[-1]), *named_ports(truths.get(str(entry[-1])))])
+    connected = _names_of(named, name)
+    rows = compare(
+        before,
+        after,
+        names=builder.port_maps[name].names if name in builder.port_maps else {},
+        connected=connected,
+        refused=_names_of(refused, name),
+    )
+    missing = [port for port in before.ports if port in connected and port not in after.ports]
+    proposals = propose(before, after, missing)
+    return SwapReport(name, rows, proposals, frozenset(_names_of(unconverted, name)))
 
 
-def _refused_ports(builder: Builder) -> Iterable[Port]:
-    """Yield the ports at connections, or in truths, that stop the run."""
-    connections = builder.scenario.connections
-    truths = builder.scenario.file.truth
-    for key, _ in builder.problems:
-        if key[:1] == ("connections",):
-            for to in ports_in(key[1:]):
-                yield to
-                yield from connections[to].sources if to in connections else ()
-        elif key[:1] == ("truth",):
-            estimate = str(key[-1])
-            yield from ports_in([estimate, *named_ports(truths.get(estimate))])
-
-
-def _unconverted_ports(builder: Builder) -> Iterable[Port]:
-    """Yield the ports that are connected to one without a unit."""
-
-    def has_unit(port: Port) -> bool:
-        if port.component not in builder.components:
-            return False
-        try:
-            match = port.find(builder.components[port.component].interface.by_name)
-        except GraphError:  # no such element: that of its connection
-            return False
-        return match is not None and match[0].unit is not None
-
-    for to, connection in builder.scenario.connections.items():
-        if not has_unit(to):
-            yield from connection.sources
-        if connection.unit is None and not all(map(has_unit, connection.sources)):
-            yield to
-
-
-def _names_of(ports: Iterable[Port], component: str) -> set[str]:
+def _names_of(ports: list[Port], component: str) -> set[str]:
     """Return the names of the ports of a component; of an element that of the signal too."""
     own = [port for port in ports if port.component == component]
     return {name for port in own for name in (port.name, port.signal)}

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field, replace
 from itertools import groupby
 from typing import Any, Final
 
+from cosim.core.signals import Interface
 from cosim.errors import ScenarioError, option
 from cosim.scenario.record import ComparedAspect, port_label
 from cosim.scenario.recordings.port_comparison import (
@@ -47,7 +48,7 @@ class SwapReport:
     def to_dict(self) -> dict[str, Any]:
         """Return plain values; ports by their full names."""
         return {
-            "ports": [asdict(self._named(row)) for row in self.rows],
+            "ports": [{**asdict(row), "port": self._port(row.port)} for row in self.rows],
             "proposals": [{**asdict(one), "option": self._option(one)} for one in self.proposals],
         }
 
@@ -62,7 +63,7 @@ class SwapReport:
             rows = list(group)
             different = [row for row in rows if row.verdict != "ok"]
             for row in different or [_agreed(rows)]:
-                lines.append(row_texts(asdict(self._named(row)), whole=not port))
+                lines.append(row_texts({**asdict(row), "port": self._port(port)}))
         return lines
 
     @property
@@ -111,9 +112,6 @@ class SwapReport:
     def _option(self, proposal: Proposal) -> str:
         return option("map", self._port(proposal.port), proposal.name)
 
-    def _named(self, row: ComparedAspect) -> ComparedAspect:
-        return replace(row, port=self._port(row.port))
-
     def _port(self, port: str) -> str:
         return f"{self.component}.{port}" if port else self.component
 
@@ -127,7 +125,7 @@ def _change_text(row: ComparedAspect) -> str:
     subject = f"{row.label} {row.aspect}".strip()
     if _is_response(row):
         return f"{subject} {', '.join(_entry_changes(row.before, row.after))}"
-    before, after = _aspect_texts(row.aspect, row.before, row.after)
+    before, after = different_texts(row.before, row.after)
     recorded = row.aspect == "kind" and row.after in ("recording", "field-data")
     reaction = ", which does not react to inputs" if recorded else ""
     return f"{subject} {after} (was {before}){reaction}"
@@ -149,39 +147,26 @@ def _agreed(rows: Sequence[ComparedAspect]) -> ComparedAspect:
     if not first.port:
         texts = [f"{aspect} {shown(value)}" for aspect, value in values.items()]
         return replace(first, aspect="as a whole", before=", ".join(texts))
-    text = with_unit(f"size {values['size']}, {values['type']}", values["unit"])
-    if first.before == "output":
+    text = with_unit(f"size {values['size']}, {values['type']}", values.get("unit"))
+    if "feedthrough" in values:
         text += f", {feedthrough_text('output', values['feedthrough'])}"
+    if INITIAL in values:
         text += f", {INITIAL} {shown(values[INITIAL])}"
     return replace(first, aspect=first.before, before=text)
 
 
-def row_texts(row: Mapping[str, Any], *, whole: bool) -> dict[str, str]:
-    """Return a row of :meth:`SwapReport.to_dict` as people read it.
-
-    Parameters
-    ----------
-    row : mapping
-    whole : bool
-        Whether it is of the component as a whole, which nothing connects.
-    """
-    before, after = _aspect_texts(row["aspect"], row["before"], row["after"])
+def row_texts(row: Mapping[str, Any]) -> dict[str, str]:
+    """Return a row of :meth:`SwapReport.to_dict` as people read it."""
+    before, after = different_texts(row["before"], row["after"])
+    is_port = "." in row["port"]  # else the component as a whole, which nothing connects
     return {
         "": port_label(row["port"], row.get("source")),
         "aspect": row["aspect"],
         "before": before,
         "after": "the same" if row["verdict"] == "ok" else after,
         "verdict": row["verdict"],
-        "connected": "" if whole else shown(row["connected"]),
+        "connected": shown(row["connected"]) if is_port else "",
     }
-
-
-def _aspect_texts(aspect: str, before: Any, after: Any) -> tuple[str, str]:
-    """Return the values of a row as people read them, told apart."""
-    if aspect != "feedthrough":
-        return different_texts(before, after)
-    none = "no direct feedthrough"
-    return (none if before == [] else shown(before), none if after == [] else shown(after))
 
 
 @dataclass(frozen=True)
@@ -202,6 +187,8 @@ class SwapReports:
         What a run warns of before its first step, whatever was swapped.
     unbuilt : mapping of component name to str
         Why what it replaces could not be built.
+    replaced : mapping of component name to Interface
+        Of what they replace, as far as that could be built.
     """
 
     reports: Mapping[str, SwapReport] = field(default_factory=dict)
@@ -210,6 +197,7 @@ class SwapReports:
     imported: Mapping[str, str] = field(default_factory=dict)
     of_run: tuple[tuple[str, str], ...] = ()
     unbuilt: Mapping[str, str] = field(default_factory=dict)
+    replaced: Mapping[str, Interface] = field(default_factory=dict)
 
     def check(self) -> None:
         """Check that the scenario can run.
@@ -226,12 +214,6 @@ class SwapReports:
     def refusals(self) -> list[str]:
         """Why the scenario cannot run: its problems, or that of its initialization."""
         return [*self.problems, *([self.failure] if self.failure else [])]
-
-    @property
-    def different(self) -> int:
-        """How many aspects of all components differ."""
-        rows = [row for report in self.reports.values() for row in report.rows]
-        return sum(row.verdict == "differs" for row in rows)
 
     @property
     def hints(self) -> list[str]:

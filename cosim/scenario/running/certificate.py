@@ -19,35 +19,39 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from copy import copy
 from dataclasses import replace
+from itertools import chain
 from typing import Any, Final, final
 
 import numpy as np
 
-from cosim.arrays import Mask, Matrix
+from cosim.arrays import Mask, Matrix, Nanoseconds, Vector
 from cosim.core.clock import nanoseconds
 from cosim.core.contracts import Block
 from cosim.core.graph import Graph
 from cosim.core.passing_recorders import Watched
 from cosim.core.port import Port
 from cosim.core.recorders import Nothing, close, end_of_run, error_text
-from cosim.core.recording import Recorder
+from cosim.core.recording import Recorder, SignalEvent
 from cosim.core.structure.cycles import reached_from
 from cosim.documents import plain
 from cosim.errors import CosimError, FmuError, Interrupted, RunError, UsageError, option
 from cosim.instants import NANOSECONDS, step_part, step_seconds, step_value
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.document import short
 from cosim.scenario.document.schema import ActionTable
+from cosim.scenario.kinds.base import Scenario
 from cosim.scenario.kinds.capabilities import DecidedByStep
 from cosim.scenario.record import CERTIFICATE, RecordedCertificate, StepSearch
 from cosim.scenario.recordings.recording import Progress, build_experiment, run_into
-from cosim.scenario.running.thinned_rows import QUARTERS, JumpWatch, ThinnedRows
 from cosim.theory.documents import StepError
 from cosim.theory.richardson import step_error
 
+JUMP: Final = 4.0  # times as much as the steps before and after it: what changes at once
+SIGNIFICANT_JUMP: Final = 1e-6  # of the range of a signal
+SEVERAL: Final = 8  # jumps in the last quarter of a step by chance: one in 65536
+ABOUT: Final = 0.1  # of the largest one
+QUARTERS: Final = 4  # steps of the finest run in one of the run that is certified
 MOST_VALUES: Final = 2**24  # that are kept of a run: 128 MB
 FINER: Final = (2, QUARTERS)  # steps of the other runs in one of this
 
@@ -66,8 +70,8 @@ class Certification:
     Attributes
     ----------
     scenario : Scenario
-    rows : ThinnedRows
-        What keeps the rows of the run.
+    search : StepSearch or None
+        How its step was found; None: the scenario gives it.
     problem : str
         Why one of the runs ended early; empty where none did.
 
@@ -79,9 +83,9 @@ class Certification:
 
     def __init__(self, scenario: Scenario, progress: Progress | None) -> None:
         self.scenario = scenario
+        self.search: StepSearch | None = None
         self.problem = ""
         self._progress = progress
-        self._search: StepSearch | None = None
         self._recorder: Recorder | None = None
         self._error: BaseException | None = None  # with which a complete run ended
         with ExitStack() as resources:
@@ -95,22 +99,8 @@ class Certification:
             self._outputs = _outputs(scenario, graph)
             self._driven = _driven(graph)
         self._every = max(1, math.ceil((self._clock.steps + 1) * len(self._labels) / MOST_VALUES))
-        self.rows = ThinnedRows(self._every, self._clock.steps)
-        self._finer: list[ThinnedRows] = []
+        self._runs: dict[int, ThinnedRows] = {}  # by their steps in one of the scenario
         self._jumps = JumpWatch(*self._outputs)  # of the run with the smallest step
-
-    def again(self, search: StepSearch) -> Certification:
-        """Return that of another run of the scenario, by the same runs with smaller steps.
-
-        Parameters
-        ----------
-        search : StepSearch
-            How its step was found.
-        """
-        other = copy(self)
-        other._search = search
-        other.rows = ThinnedRows(self._every, self._clock.steps)
-        return other
 
     # --- the runs ---
 
@@ -126,8 +116,8 @@ class Certification:
             with ExitStack() as resources:
                 self._built(finer, resources)
 
-    def run_finer(self) -> None:
-        """Run the scenario with half of the step, and with a quarter.
+    def run(self, *parts: int) -> None:
+        """Run the scenario with these parts of its step, unless it was, and keep the rows.
 
         Raises
         ------
@@ -136,16 +126,15 @@ class Certification:
         Interrupted
             If the user ends it.
         """
-        self._finer = [self._run(finer) for finer in FINER]
+        for finer in parts:
+            if finer not in self._runs:
+                self._runs[finer] = self._run(finer)
 
-    def run_all(self) -> None:
-        """Run the scenario itself, too; see :meth:`run_finer`."""
-        self.rows = self._run(1)
-        self.run_finer()
+    def _rows(self, finer: int) -> ThinnedRows:
+        return ThinnedRows(self._every * finer, self._clock.steps * finer)
 
     def _run(self, finer: int) -> ThinnedRows:
-        """Run with a step that is smaller by a factor, and return its rows."""
-        rows = ThinnedRows(self._every * finer, self._clock.steps * finer)
+        rows = self._rows(finer)
         self._jumps = JumpWatch(*self._outputs)
 
         def take(block: Block, signals: Matrix) -> None:
@@ -153,7 +142,6 @@ class Certification:
             rows.take(block, signals)
 
         watched = Watched(Nothing(), take, jumped=self._jumps.expect)
-        step = self._step(finer)
         with ExitStack() as resources:
             experiment = replace(self._built(finer, resources), identified={})
             try:
@@ -161,7 +149,7 @@ class Certification:
             except Interrupted:
                 raise
             except (RunError, FmuError) as error:  # of an FMU that does not take this step
-                text = f"no complete run with steps of {step} s: {error}"
+                text = f"no complete run with steps of {self._step(finer)} s: {error}"
                 self.problem = self.problem or text
         return rows
 
@@ -186,11 +174,11 @@ class Certification:
         Where a condition ends the runs, which it may do at different instants, they are compared up
         to the first of these.
         """
-        runs = [self.rows, *self._finer]
+        runs = [self._runs[finer] for finer in (1, *FINER)]
         count = min(len(run.time_ns) for run in runs)
         tables = [run.rows[:count] for run in runs]
-        t = self.rows.time_ns[:count] / NANOSECONDS
-        reasons = self._reasons()
+        t = runs[0].time_ns[:count] / NANOSECONDS
+        reasons = self._following(self._conditions(), self._parts(), self._unexpected())
         errors = {}
         for column, label in enumerate(self._labels):
             reason = reasons.get(label.partition(".")[0])
@@ -204,19 +192,14 @@ class Certification:
     @property
     def of_conditions(self) -> set[str]:
         """The components that have no estimate with any step, as they follow a condition."""
-        return {
-            name
-            for origin in self._conditions()
-            for name in reached_from(self._driven.get(origin, ()), self._driven)
-        }
+        return set(self._following(self._conditions()))
 
-    def _reasons(self) -> dict[str, str]:
+    def _following(self, *causes: Mapping[str, str]) -> dict[str, str]:
         """Return why components have no estimate, by their names: what they follow has none."""
         reasons: dict[str, str] = {}
-        for origins in (self._conditions(), self._parts(), self._unexpected()):
-            for origin, text in origins.items():
-                for name in reached_from(self._driven.get(origin, ()), self._driven):
-                    reasons.setdefault(name, text)
+        for origin, text in chain.from_iterable(own.items() for own in causes):
+            for name in reached_from(self._driven.get(origin, ()), self._driven):
+                reasons.setdefault(name, text)
         return reasons
 
     def _conditions(self) -> dict[str, str]:
@@ -273,7 +256,8 @@ class Certification:
         A run that ends early has no certificate, and its recording ends with it.
         """
         self._recorder = recorder
-        return Watched(recorder, self.rows.take, ended=self._end)
+        self._runs[1] = self._rows(1)
+        return Watched(recorder, self._runs[1].take, ended=self._end)
 
     def _end(self, recorder: Recorder, error: BaseException | None) -> None:
         """Leave the recorder of a complete run open; record why another has none."""
@@ -282,7 +266,7 @@ class Certification:
             self._error = error
             return
         try:
-            self._record(recorder, [self.rows], f"the run ended early: {ended.reason}")
+            self._record(recorder, (1,), f"the run ended early: {ended.reason}")
         finally:
             close(recorder, error)
 
@@ -303,14 +287,13 @@ class Certification:
         assert recorder is not None, "beside a recorder"
         try:
             resources.close()
-            if not self._finer:
-                self.run_finer()
+            self.run(*FINER)
             signals = {} if self.problem else self.errors()
-            self._record(recorder, [self.rows, *self._finer], self.problem, signals)
+            self._record(recorder, (1, *FINER), self.problem, signals)
         except BaseException as error:
             reason = error_text(error) or "interrupted by the user"
             problem = f"a run with a smaller step did not complete: {reason}"
-            self._record(recorder, [self.rows], problem)
+            self._record(recorder, (1,), problem)
             error.add_note("no error estimate: a run with a smaller step did not complete")
             raise
         finally:
@@ -319,7 +302,7 @@ class Certification:
     def _record(
         self,
         recorder: Recorder,
-        runs: Sequence[ThinnedRows],
+        parts: Sequence[int],
         problem: str,
         signals: Mapping[str, StepError] | None = None,
     ) -> None:
@@ -328,14 +311,171 @@ class Certification:
         certificate = RecordedCertificate(
             step,
             tuple(step / finer for finer in FINER),
-            tuple(run.end_ns / NANOSECONDS for run in runs),
+            tuple(self._runs[finer].end_ns / NANOSECONDS for finer in parts),
             problem,
             self._fmus,
             signals or {},
-            self._search,
+            self.search,
             every=self._every,
         )
         recorder.result({CERTIFICATE: plain(certificate)})
+
+
+# --- what is kept of a run ---
+
+
+class ThinnedRows:
+    """Keeps every n-th row of a run, and the last one that its clock has.
+
+    Parameters
+    ----------
+    every : int
+        Communication steps between two rows that are kept.
+    steps : int
+        Communication steps of the run.
+
+    Attributes
+    ----------
+    end_ns : int
+        The last instant of the run [ns], kept or not.
+    """
+
+    def __init__(self, every: int, steps: int) -> None:
+        self._every = every
+        self._steps = steps
+        self._rows: list[Matrix] = []
+        self._times: list[Nanoseconds] = []
+        self.end_ns = 0
+
+    def take(self, block: Block, signals: Matrix) -> None:
+        """Keep the rows that are due."""
+        self.end_ns = int(block.time_ns[-1])
+        first = 0 if block.index == 0 and not self._rows else 1
+        rows = np.arange(first, block.steps + 1)
+        numbers = block.index + rows
+        due = rows[(numbers % self._every == 0) | (numbers == self._steps)]
+        self._rows.append(signals[due])
+        self._times.append(block.time_ns[due])
+
+    @property
+    def rows(self) -> Matrix:
+        """The rows that were kept, shape (N, width)."""
+        return np.concatenate(self._rows)
+
+    @property
+    def time_ns(self) -> Nanoseconds:
+        """Their instants [ns], shape (N,)."""
+        return np.concatenate(self._times)
+
+
+class JumpWatch:
+    """Finds what changes within one step of a run as it does in none beside it.
+
+    A signal whose steps are small enough changes in each about as much as in those before and after
+    it. Where it changes more than ``JUMP`` times as much as in any of the ``QUARTERS`` steps before
+    and after, it jumps, or the step does not resolve what happens. So many, as a change of noise,
+    which comes with every step of the run that is certified, may be small once.
+
+    Parameters
+    ----------
+    watched : Mask, shape (width,)
+        Columns of a row.
+    may_jump : Mask, shape (width,)
+        Which of them may jump at ends of steps of the run that is certified.
+
+    Attributes
+    ----------
+    expected_ns : set of int
+        Instants [ns] at which signals jump by actions. The row there has the values before, so that
+        the jump is in the step that follows; at a communication point of the run that is certified
+        it is none that such a run could miss.
+    """
+
+    def __init__(self, watched: Mask, may_jump: Mask) -> None:
+        self.expected_ns: set[int] = set()
+        self._columns = np.flatnonzero(watched)
+        self._may_jump = may_jump[watched]
+        width = len(self._columns)
+        # The largest jumps, and when: within a step of the run that is certified, and in the last
+        # quarter of one, as a jump at its end is; of the latter several, the smallest first.
+        self._within = np.zeros(width)
+        self._within_ns = np.zeros(width, np.int64)
+        self._at_ends = np.zeros((SEVERAL, width))
+        self._at_ends_ns = np.zeros(width, np.int64)
+        self._smallest = np.full(width, np.inf)
+        self._largest = np.full(width, -np.inf)
+        # of the steps before the next block
+        self._changes = np.zeros((2 * QUARTERS, width))
+        self._times = np.zeros(2 * QUARTERS, np.int64)
+        self._numbers = np.ones(2 * QUARTERS, np.int64)
+
+    def unexpected(self) -> dict[int, tuple[int, bool]]:
+        """Return by column when it jumps elsewhere than it may [ns], and whether within a step.
+
+        Of several jumps at ends of about one size all are there: were their instants any, a part of
+        them would be within.
+        """
+        with np.errstate(over="ignore"):
+            significant = SIGNIFICANT_JUMP * np.maximum(self._largest - self._smallest, 0.0)
+        are_regular = self._at_ends[0] > ABOUT * self._at_ends[-1]
+        within = self._within > significant
+        at_ends = (self._at_ends[-1] > significant) & ~(self._may_jump | are_regular)
+        times_ns = np.where(within, self._within_ns, self._at_ends_ns)
+        found = np.flatnonzero(within | at_ends)
+        return {int(self._columns[i]): (int(times_ns[i]), bool(within[i])) for i in found}
+
+    def expect(self, event: SignalEvent) -> None:
+        """Note the instant of an event: signals jump there as they should, behind the row."""
+        if event.cause != "jump":
+            self.expected_ns.add(event.time_ns)
+
+    def take(self, block: Block, signals: Matrix) -> None:
+        """Look at the next rows."""
+        signals = signals[:, self._columns]
+        self._smallest = np.fmin(self._smallest, np.fmin.reduce(signals))
+        self._largest = np.fmax(self._largest, np.fmax.reduce(signals))
+        with np.errstate(over="ignore", invalid="ignore"):  # of a run that leaves all bounds
+            changes = np.nan_to_num(np.abs(np.diff(signals, axis=0)))
+        changes = np.vstack([self._changes, changes])
+        times = np.concatenate([self._times, block.time_ns[1:]])
+        numbers = np.concatenate([self._numbers, block.index + np.arange(1, block.steps + 1)])
+        self._changes = changes[-2 * QUARTERS :]
+        self._times = times[-2 * QUARTERS :]
+        self._numbers = numbers[-2 * QUARTERS :]
+        inner = slice(QUARTERS, -QUARTERS)
+        jumps = _isolated(changes)
+        if self.expected_ns:
+            starts = times[QUARTERS - 1 : -QUARTERS - 1]
+            is_expected = np.isin(starts, list(self.expected_ns))
+            jumps[is_expected & (numbers[inner] % QUARTERS == 1)] = 0.0
+        is_end = numbers[inner] % QUARTERS == 0
+        _keep(jumps[~is_end], times[inner][~is_end], self._within, self._within_ns)
+        _keep(jumps[is_end], times[inner][is_end], self._at_ends[-1].copy(), self._at_ends_ns)
+        self._at_ends = np.sort(np.vstack([self._at_ends, jumps[is_end]]), axis=0)[-SEVERAL:]
+
+
+def _isolated(changes: Matrix) -> Matrix:
+    """Return those changes that are larger than all around them, 0 for the others.
+
+    Of the first and the last, around which not all are known, there is nothing.
+    """
+    inner = changes[QUARTERS:-QUARTERS]
+    largest = np.zeros_like(inner)
+    for shift in range(2 * QUARTERS + 1):
+        if shift != QUARTERS:
+            np.maximum(largest, changes[shift : shift + len(inner)], out=largest)
+    isolated: Matrix = np.where(inner / JUMP > largest, inner, 0.0)
+    return isolated
+
+
+def _keep(jumps: Matrix, times: Nanoseconds, largest: Vector, instants: Nanoseconds) -> None:
+    """Keep the largest jump of each column, and its instant."""
+    if len(jumps):
+        rows = jumps.argmax(axis=0)
+        candidates = jumps.max(axis=0)
+        larger = candidates > largest
+        largest[larger] = candidates[larger]
+        instants[larger] = times[rows][larger]
 
 
 # --- before the runs ---

@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, overload
+from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, Unpack, overload
 
 from cosim.arguments import (
     callable_argument,
@@ -31,9 +31,10 @@ from cosim.log.mcap_file.rotation import read_rotation
 from cosim.log.writing.background import FLUSH_INTERVAL
 from cosim.options import OF_A_LOG, OF_A_RECORDER, STEP_IS_CHOSEN, check_rules
 from cosim.scenario.building.build import parse
-from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.document import Document, find
 from cosim.scenario.document.swaps import PortNames
+from cosim.scenario.kinds.base import Scenario
+from cosim.scenario.recordings.log_contents import metadata_of
 from cosim.scenario.recordings.message_recorder import MessageRecorder
 from cosim.scenario.recordings.recording import (
     Beside,
@@ -49,7 +50,6 @@ from cosim.scenario.recordings.recording import (
     run_into,
     shown,
 )
-from cosim.scenario.recordings.records import metadata_of
 from cosim.scenario.running.real_time import paced
 from cosim.scenario.session import Opened, Session
 
@@ -80,7 +80,7 @@ def load_document(document: Document) -> Scenario:
 def start(
     scenario: Scenario, out: str | Path | None, *, force: bool = False, numbered: bool = False
 ) -> Session:
-    """Start a scenario; see :meth:`cosim.scenario.building.parsing.Scenario.start`.
+    """Start a scenario; see :meth:`cosim.scenario.kinds.base.Scenario.start`.
 
     Raises
     ------
@@ -126,53 +126,41 @@ def _opened(scenario: Scenario, target: Target, resources: ExitStack, is_next: b
     return Opened(simulation, recorder, path, lambda: recorder.warnings)
 
 
+class RunOptions(TypedDict, total=False):
+    """What :func:`run` takes beside a recorder."""
+
+    out: str | Path | None
+    force: bool
+    numbered: bool
+    set: Mapping[str, Any] | None
+    swap: Mapping[str, str | Path] | None
+    map: Mapping[str, PortNames] | None
+    stop: float | None
+    step: float | str | None
+    verdicts: bool | None
+    block: int | None
+    progress: Progress | None
+    notice: Notice | None
+    embed: bool
+    profile: dict[str, float] | None
+    certify: bool
+    find_step: Mapping[str, float] | None
+    realtime: float | None
+    live: LiveView | None
+    flush: float | None
+    sync: bool
+    rotate: str | None
+
+
 @overload
 def run(
-    scenario: str | Path | Scenario,
-    *,
-    out: str | Path | None = None,
-    force: bool = False,
-    numbered: bool = False,
-    set: Mapping[str, Any] | None = None,
-    swap: Mapping[str, str | Path] | None = None,
-    map: Mapping[str, PortNames] | None = None,
-    stop: float | None = None,
-    step: float | str | None = None,
-    verdicts: bool | None = None,
-    block: int | None = None,
-    progress: Progress | None = None,
-    notice: Notice | None = None,
-    embed: bool = False,
-    profile: dict[str, float] | None = None,
-    certify: bool = False,
-    find_step: Mapping[str, float] | None = None,
-    realtime: float | None = None,
-    live: LiveView | None = None,
-    flush: float | None = None,
-    sync: bool = False,
-    rotate: str | None = None,
-    recorder: None = None,
+    scenario: str | Path | Scenario, *, recorder: None = None, **options: Unpack[RunOptions]
 ) -> Log | Memory: ...
 
 
 @overload
 def run(
-    scenario: str | Path | Scenario,
-    *,
-    set: Mapping[str, Any] | None = None,
-    swap: Mapping[str, str | Path] | None = None,
-    map: Mapping[str, PortNames] | None = None,
-    stop: float | None = None,
-    step: float | str | None = None,
-    verdicts: bool | None = None,
-    block: int | None = None,
-    progress: Progress | None = None,
-    profile: dict[str, float] | None = None,
-    certify: bool = False,
-    find_step: Mapping[str, float] | None = None,
-    realtime: float | None = None,
-    live: LiveView | None = None,
-    recorder: OwnRecorder,
+    scenario: str | Path | Scenario, *, recorder: OwnRecorder, **options: Unpack[RunOptions]
 ) -> OwnRecorder: ...
 
 

@@ -25,19 +25,18 @@ from cosim.core.recording import CompleteRecording
 from cosim.core.structure.ports import Ports
 from cosim.errors import UsageError, nearest, quoted
 from cosim.log import open_log
-from cosim.native.estimation.alphas import signals_among
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.kinds.identified_plant import (
-    IDENTIFY_WITH_OFFSET,
     OUTPUT_ERROR,
     IdentifiedPlant,
     SampleRows,
     ThetaBounds,
     bounds_of,
-    interval_of,
 )
 from cosim.scenario.record import component_record
-from cosim.scenario.recordings.replaying import rebuilt
+from cosim.scenario.recordings.replay_request import ReplayRequest
+from cosim.scenario.recordings.replaying import RebuiltRun
+from cosim.scenario.recordings.verdicts import IDENTIFY_WITH_OFFSET, interval_of
 from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.agreement import contradictions, each_alone
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
@@ -168,40 +167,37 @@ class LogIdentification:
         return interval_of(self.assessment, bound, Programs.ALWAYS, watch)
 
 
-def identifier_record(log: CompleteRecording, identifier: str | None = None) -> IdentifierRecord:
+def identifier_record(
+    source: str | Path | CompleteRecording, identifier: str | None = None
+) -> IdentifierRecord:
     """Return the data and the model of an identifier, from the log of its run.
 
     Parameters
     ----------
-    log : CompleteRecording
-        A log, or a run in memory.
+    source : path, log, or run in memory
     identifier : str, optional
         Its name, where there are several.
 
     Raises
     ------
     LogError
-        If the log has no scenario, or does not fit it.
+        If the log cannot be read, has no scenario, or does not fit it.
     UsageError
-        If it has no identifier of that name whose model output error can fit, or several.
+        If it is no log, or has no identifier of that name whose model output error can fit, or
+        several.
     """
+    log = open_log(source) if isinstance(source, str | Path) else source
+    if not isinstance(log, RecordedSignals):
+        raise UsageError(f"logs: expected a path, or what a run returned, got {quoted(source)}")
     with ExitStack() as resources:
-        experiment = rebuilt(log, resources)
+        experiment = RebuiltRun(log, ReplayRequest(), resources).experiment
         name = _chosen(log, experiment.identified, identifier)
         identified = experiment.identified[name]
-        observer = identified.observer
         samples = _samples(log, experiment, name)
     if identified.problem:
         raise UsageError(f"{log.label}: {identified.problem}")
-    t = seconds(log.time_ns(observer))
-    y = as_columns(log[f"{observer}.y"])
-    u = np.zeros((len(t), 0))
-    if "u" in log.channels[observer].by_name:
-        u = as_columns(log[f"{observer}.u"])
-    signals = np.zeros((len(t), 0))
-    if signals_among(identified.alphas):
-        signals = as_columns(log[f"{identified.regressor}.alpha"])
-    data = identified.data_set(experiment.graph, t, y, u, signals, samples)
+    t, rows = identified.recorded(log)
+    data = identified.data_set(experiment.graph, t, rows, samples)
     return IdentifierRecord(log, name, identified, data)
 
 
@@ -250,41 +246,6 @@ def identify(
         Of one plant under one theta; each has its own amplitudes, phases and x(0).
     identifier : str, optional
         The identifier to take the model from, if a log has several.
-    offset, bounds
-        As for :func:`identify_records`.
-
-    Raises
-    ------
-    LogError
-        If a log is damaged, or has no scenario.
-    UsageError
-        If one is neither a path nor a run, a log has no such identifier, the models of the logs
-        differ, two logs have the same rows, or the bounds are invalid.
-    AssumptionError
-        If there are fewer samples than unknowns.
-    """
-    listed = list(logs) if isinstance(logs, Sequence) and not isinstance(logs, str) else [logs]
-    records = []
-    for log in listed:
-        opened = open_log(log) if isinstance(log, str | Path) else log
-        if not isinstance(opened, RecordedSignals):
-            raise UsageError(f"logs: expected a path, or what a run returned, got {quoted(log)}")
-        records.append(identifier_record(opened, identifier))
-    return identify_records(records, offset=offset, bounds=bounds)
-
-
-def identify_records(
-    records: Sequence[IdentifierRecord],
-    *,
-    offset: bool = False,
-    bounds: ThetaBounds | None = None,
-) -> LogIdentification:
-    """Estimate theta from records of logs by output error, with a verdict on every parameter.
-
-    Parameters
-    ----------
-    records : sequence of IdentifierRecord
-        Of one plant under one theta; each has its own amplitudes, phases and x(0).
     offset : bool
         An unknown constant is on every output, also where the scenario does not say so.
     bounds : sequence of (lower, upper), or mapping of index to (lower, upper), optional
@@ -292,14 +253,18 @@ def identify_records(
 
     Raises
     ------
+    LogError
+        If a log is damaged, or has no scenario.
     UsageError
-        If there are none, they are of different models, two have the same rows, or the bounds are
-        none.
+        If there are none, one is neither a path nor a run, a log has no such identifier, the models
+        of the logs differ, two logs have the same rows, or the bounds are invalid.
     AssumptionError
         If there are fewer samples than unknowns.
     """
-    if not records:
+    listed = list(logs) if isinstance(logs, Sequence) and not isinstance(logs, str) else [logs]
+    if not listed:
         raise UsageError("logs: expected at least one, got none")
+    records = [identifier_record(log, identifier) for log in listed]
     for number, record in enumerate(records):
         _check_beside(record, records[:number])
     identified = records[0].identified
@@ -310,10 +275,11 @@ def identify_records(
         bounds=identified.bounds if bounds is None else bounds_of(bounds, identified.parameters),
     )
     assessment = assess(problem, records[0].estimate)
+    assessment = advised(assessment, [record.identified.alpha for record in records])
     names = [record.log.label for record in records]
     return LogIdentification(
         records=tuple(records),
-        assessment=advised(assessment, [record.identified.alpha for record in records]),
+        assessment=assessment,
         contradictions=tuple(contradictions(each_alone(assessment), names)),
     )
 
@@ -327,28 +293,26 @@ def _check_beside(record: IdentifierRecord, used: Sequence[IdentifierRecord]) ->
         If the plants or the classes of their disturbances differ, by the first difference; or if a
         log of the same rows is used already, so that data would count twice.
     """
+    own = record.data
     for other in used:
-        times = np.array_equal(other.data.t, record.data.t)
-        outputs = np.array_equal(other.data.y, record.data.y, equal_nan=True)
-        if times and outputs and np.array_equal(other.data.u, record.data.u):
+        data = other.data
+        is_same_y = np.array_equal(data.y, own.y, equal_nan=True)
+        if is_same_y and np.array_equal(data.t, own.t) and np.array_equal(data.u, own.u):
             raise UsageError(
                 f"{record.log.label} has the rows of {other.log.label}, which is used in the fit; "
                 "expected data of another run"
             )
-    for first in used[:1]:
+        plants = (other.identified.plant, record.identified.plant)
         differences = [
             f"the design models differ in {field.name}"
             for field in fields(DisturbedPlant)
-            if not np.array_equal(
-                getattr(first.identified.plant, field.name),
-                getattr(record.identified.plant, field.name),
-            )
+            if not np.array_equal(*(getattr(plant, field.name) for plant in plants))
         ]
-        if list(first.identified.families) != list(record.identified.families):
+        if list(other.identified.families) != list(record.identified.families):
             differences.append("the terms of their regressors differ in family")
         if differences:
             raise UsageError(
-                f"{first.log.label} and {record.log.label}: {differences[0]}; expected one model"
+                f"{other.log.label} and {record.log.label}: {differences[0]}; expected one model"
             )
 
 

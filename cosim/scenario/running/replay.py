@@ -6,23 +6,18 @@ A log of cosim is opened and read once; a recording of another tool is read by e
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeAlias, final
+from typing import Any, final
 
 from cosim.arguments import (
     callable_argument,
     fillable_argument,
-    mapping_argument,
     path_argument,
     setting_arguments,
-    swap_argument,
-    texts_argument,
     truth_argument,
-    whole_argument,
 )
 from cosim.core.contracts import Design
 from cosim.core.recorded.signals import warning_texts
@@ -34,8 +29,9 @@ from cosim.log.foreign.topics import is_foreign
 from cosim.log.mcap_file.paths import log_path
 from cosim.log.mcap_file.rotation import all_parts
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.building.parsing import Scenario
 from cosim.scenario.document.swaps import PortNames, WrittenPorts, ports_in
+from cosim.scenario.kinds.base import Scenario
+from cosim.scenario.recordings.recorded_scenario import is_large
 from cosim.scenario.recordings.recording import (
     LiveView,
     Notice,
@@ -45,15 +41,9 @@ from cosim.scenario.recordings.recording import (
     check_target,
     record,
 )
-from cosim.scenario.recordings.replaying import ReplayRequest, designs_anew, prepared_replay
-from cosim.scenario.recordings.window import window_of
+from cosim.scenario.recordings.replay_request import ReplayRequest, window_of
+from cosim.scenario.recordings.replaying import designs_anew, prepared_replay
 from cosim.scenario.running.execution import load
-
-if TYPE_CHECKING:
-    from cosim.fmi.unpacked import UnpackedFmus
-
-_LARGE: Final = 2**25  # bytes of rows
-_Build: TypeAlias = Callable[[ReplayRequest, ExitStack, "UnpackedFmus | None"], Experiment]
 
 
 @final
@@ -65,41 +55,26 @@ class Replays:
     ----------
     label : str
         Its path.
-    source : Log or None
-        The log, joined with the files before it; None: it is of another tool.
+    source : Log or Scenario
+        The log, joined with the files before it; of another tool's recording the scenario that
+        takes components from it.
     request : ReplayRequest
         What all replays have.
-    build : callable
-        Builds the experiment of a request.
     """
 
     label: str
-    source: Log | None
+    source: Log | Scenario
     request: ReplayRequest
-    build: _Build
 
-    @property
-    def is_large(self) -> bool:
-        """Whether what is replayed takes much memory; another tool's is read as a whole anyway."""
-        return self.source is not None and self.source.row_bytes > _LARGE
-
-    @property
-    def changes(self) -> Mapping[str, Any]:
-        """What all replays change."""
-        return self.request.changes
-
-    def experiment(
-        self,
-        values: Mapping[str, Any],
-        resources: ExitStack,
-        unpacked: UnpackedFmus | None = None,
-    ) -> Experiment:
-        """Build the replay with some values, to run it into a recorder of one's own.
-
-        FMUs are unpacked into ``unpacked`` for all replays; without it, for this one.
-        """
-        request = replace(self.request, changes={**self.changes, **values})
-        return self.build(request, resources, unpacked)
+    def experiment(self, values: Mapping[str, Any], resources: ExitStack) -> Experiment:
+        """Build the replay with some values, to run it into a recorder of one's own."""
+        changes = {**self.request.changes, **values}
+        if isinstance(self.source, Log):
+            request = replace(self.request, set=changes)
+            return prepared_replay(self.source, request, resources)
+        experiment = build_experiment(self.source.edit(set=changes), resources)
+        experiment.clock = replace(experiment.clock, block=self.request.block)
+        return experiment
 
     def check(self, values: Mapping[str, Any]) -> None:
         """Build and prepare the replay with some values; raise UsageError if it cannot be run."""
@@ -117,16 +92,12 @@ class Replays:
             If it is the log that is replayed, another file of that where it was rotated, or as from
             :func:`cosim.scenario.recordings.recording.check_target`.
         """
-        if out is not None and self.source is not None:
+        if out is not None and isinstance(self.source, Log):
             target = os.path.realpath(log_path(out))
-            path = self.source.path
-            what = ""
-            if target == os.path.realpath(path):
-                what = "the log"
-            elif target in map(os.path.realpath, all_parts(path)):
-                what = "one of the rotated files of the log"
-            if what:
-                raise UsageError(f"{out} is {what} being replayed; choose another path")
+            for file in (self.source.path, *all_parts(self.source.path)):
+                if target == os.path.realpath(file):
+                    what = "the log" if file == self.source.path else "a file of the log"
+                    raise UsageError(f"{out} is {what} being replayed; choose another path")
         check_target(out, force=force)
 
     def record(
@@ -139,8 +110,9 @@ class Replays:
     ) -> Log | Memory:
         """Replay with some values; refuse a path as :meth:`check_target` does."""
         self.check_target(target.out, force=target.force)
-        window = self.request.window
-        beside = None if window is None else window.beside
+        beside = None
+        if isinstance(self.source, Log) and self.request.window is not None:
+            beside = window_of(self.source, self.request.window).beside
         with ExitStack() as resources:
             experiment = self.experiment(values, resources)
             recorded = record(experiment, target, progress=progress, profile=profile, beside=beside)
@@ -153,80 +125,29 @@ class Replays:
             return designs_anew(self.experiment({}, resources))
 
 
-def replays_of(
-    log: str | Path | Log,
-    *,
-    set: Mapping[str, Any] | None = None,
-    swap: Mapping[str, str | Path] | None = None,
-    map: Mapping[str, PortNames] | None = None,
-    allow_code: bool = False,
-    rerun: bool = False,
-    window: tuple[float | None, float | None] | None = None,
-    components: Sequence[str] | None = None,
-    scenario: str | Path | Scenario | None = None,
-    block: int | None = None,
-) -> Replays:
-    """Return a recording that can be replayed; parameters as of :func:`cosim.replay`.
+def replays_of(log: str | Path | Log, request: ReplayRequest) -> Replays:
+    """Return a recording that can be replayed.
 
     Raises
     ------
     UsageError
-        If one of them is of another type, or does not go with the others or with the recording.
+        If the request does not go with it.
     """
-    changes = mapping_argument("set", set)
-    steps = whole_argument("block", block)
     if isinstance(log, str | Path) and is_foreign(path_argument("log", log)):
-        _check_field_options(
-            allow_code=allow_code, rerun=rerun, window=window, components=components
-        )
         path = path_argument("log", log)
-        loaded = scenario if isinstance(scenario, Scenario) or scenario is None else load(scenario)
-        recorded = _with_recorded_components(loaded, path, swaps=swap, maps=map)
-        request = ReplayRequest(changes, block=steps)
-        return Replays(str(path), None, request, partial(_field_experiment, recorded))
+        return Replays(str(path), _with_recorded_components(path, request), request)
     source = open_joined(log)
-    if scenario is not None:
+    if request.scenario is not None:
         raise UsageError(
             f"{source.label} has its own scenario; omit {option('scenario')}, which is for "
             "recordings of other tools"
         )
-    chosen = texts_argument("components", components)
-    if chosen == ():
-        raise UsageError(
-            f"{option('components')}: expected at least one component to compute, or None for "
-            "all; got none"
-        )
-    paths = swap_argument(swap)
-    names = mapping_argument("map", map)
-    if names and not paths:
+    if request.maps and not request.swaps:
         raise UsageError(
             f"expected {option('swap')} with {option('map')}: only a replacement has other port "
             "names"
         )
-    request = ReplayRequest(
-        changes,
-        paths,
-        names,
-        chosen,
-        None if window is None else window_of(source, window),
-        truth_argument("allow_code", allow_code),
-        steps,
-        truth_argument("rerun", rerun),
-    )
-    return Replays(source.label, source, request, partial(prepared_replay, source))
-
-
-def _field_experiment(
-    scenario: Scenario,
-    request: ReplayRequest,
-    resources: ExitStack,
-    unpacked: UnpackedFmus | None,
-) -> Experiment:
-    """Build a scenario that takes components from a recording of another tool."""
-    edited = scenario.edit(set=request.changes)
-    experiment = build_experiment(edited, resources, unpacked=unpacked)
-    experiment.clock = replace(experiment.clock, block=request.block)
-    return experiment
+    return Replays(source.label, source, request)
 
 
 def replay(
@@ -313,8 +234,7 @@ def replay(
     callable_argument("notice", notice)
     fillable_argument("profile", profile)
     with setting_arguments(set, stop=stop, verdicts=verdicts) as changes:
-        replays = replays_of(
-            log,
+        request = ReplayRequest(
             set=changes,
             swap=swap,
             map=map,
@@ -326,7 +246,7 @@ def replay(
             block=block,
         )
         target = Target(out, force, notice=notice)
-        return replays.record({}, target, progress=progress, profile=profile)
+        return replays_of(log, request).record({}, target, progress=progress, profile=profile)
 
 
 @contextmanager
@@ -342,10 +262,10 @@ def replayed_once(
     """Yield a replay without other values; parameters as of :func:`replay` and :func:`run`.
 
     Without ``out`` it is gone after the ``with`` block. Till then it is in memory, or, where that
-    is much, in a temporary file.
+    is much, in a temporary file; another tool's recording is read as a whole anyway.
     """
     target = Target(out, force, notice=notice, live=live)
-    if out is not None or not replays.is_large:
+    if out is not None or isinstance(replays.source, Scenario) or not is_large(replays.source):
         yield replays.record({}, target, progress=progress)
         return
     from cosim.temporary import TemporaryFolder  # most replays need none
@@ -359,72 +279,46 @@ def replayed_once(
 # --- recordings of other tools ---
 
 
-def _with_recorded_components(
-    scenario: Scenario | None,
-    log: Path,
-    *,
-    swaps: Mapping[str, str | Path] | None,
-    maps: Mapping[str, PortNames] | None,
-) -> Scenario:
-    """Return a scenario whose mapped components come from a recording of another tool.
-
-    Parameters
-    ----------
-    scenario : Scenario or None
-        None: none was given.
-    log : Path
-    swaps : mapping of component name to path or None
-        Of other components, or of these, to take them from elsewhere.
-    maps : mapping of port to names or None
-        Fields of the recording; see :mod:`cosim.scenario.document.swaps`.
+def _with_recorded_components(log: Path, request: ReplayRequest) -> Scenario:
+    """Return the scenario whose mapped components come from a recording of another tool.
 
     Raises
     ------
     UsageError
-        If there is no scenario, or nothing is mapped.
+        If there is no scenario, nothing is mapped, or something is asked for that only a replay of
+        a log has.
     ScenarioError
         With every problem of the scenario and the maps.
     """
-    paths = swap_argument(swaps)
-    names = mapping_argument("map", maps)
-    needed_map = option("map", "plant.y", "/topic.field")
-    if scenario is None:
-        raise UsageError(
-            f"{log} was written by another tool and has no scenario; expected "
-            f"{option('scenario')}, the one whose components it recorded, and a map of these, "
-            f"{needed_map}"
-        )
-    if not names:
-        raise UsageError(
-            f"{log} was written by another tool, so that its fields have no known place in the "
-            f"scenario {scenario.name!r}; expected a map, {needed_map}; 'cosim info' lists the "
-            "fields"
-        )
-    recorded = {name: log for name in _recorded(scenario, names)}
-    return scenario.edit(swap={**recorded, **paths}, map=names)
-
-
-def _check_field_options(
-    *, allow_code: bool, rerun: bool, window: object, components: object
-) -> None:
-    """Check that nothing is given that a replay of another tool's recording does not have.
-
-    Raises
-    ------
-    UsageError
-        If something is.
-    """
     given = {
-        flag("allow_code"): allow_code,
-        flag("rerun"): rerun,
-        "a window of time": window is not None,
-        "components to compute": components is not None,
+        flag("allow_code"): request.allow_code,
+        flag("rerun"): request.rerun,
+        "a window of time": request.window is not None,
+        "components to compute": request.components is not None,
     }
     for name in filter(given.get, given):
         raise UsageError(
             f"{name} does not apply to a recording of another tool, from which mapped components "
             "are taken while all others are computed; omit it"
         )
+    needed_map = option("map", "plant.y", "/topic.field")
+    scenario = request.scenario
+    if scenario is None:
+        raise UsageError(
+            f"{log} was written by another tool and has no scenario; expected "
+            f"{option('scenario')}, the one whose components it recorded, and a map of these, "
+            f"{needed_map}"
+        )
+    if not isinstance(scenario, Scenario):
+        scenario = load(scenario)
+    if not request.maps:
+        raise UsageError(
+            f"{log} was written by another tool, so that its fields have no known place in the "
+            f"scenario {scenario.name!r}; expected a map, {needed_map}; 'cosim info' lists the "
+            "fields"
+        )
+    recorded = dict.fromkeys(_recorded(scenario, request.maps), log)
+    return scenario.edit(swap={**recorded, **request.swaps}, map=request.maps)
 
 
 def _recorded(scenario: Scenario, names: Mapping[str, PortNames]) -> list[str]:
@@ -433,14 +327,9 @@ def _recorded(scenario: Scenario, names: Mapping[str, PortNames]) -> list[str]:
     A mapped input belongs to them, or else to the components that drive it.
     """
     ports = WrittenPorts(scenario.tree)
-    recorded: dict[str, None] = {}
-    inputs = []
-    for port in ports_in(names):
-        if ports.causality(port) == "input":
-            inputs.append(port)
-        else:
-            recorded[port.component] = None
-    for port in inputs:
+    mapped = ports_in(names)
+    recorded = dict.fromkeys(p.component for p in mapped if ports.causality(p) != "input")
+    for port in mapped:
         if port.component not in recorded:
             recorded |= dict.fromkeys(scenario.sources(port.whole) or [port.component])
     return list(recorded)

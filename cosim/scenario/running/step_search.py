@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
 from typing import Final
 
 from cosim.core.clock import nanoseconds
@@ -22,11 +21,10 @@ from cosim.core.graph import Graph
 from cosim.core.recorded.signals import find_signal
 from cosim.errors import CosimError, Interrupted, RunError, UnknownSignalError, UsageError, option
 from cosim.instants import NANOSECONDS, step_value
-from cosim.scenario.building.parsing import Scenario
+from cosim.scenario.kinds.base import Scenario
 from cosim.scenario.record import StepSearch, StepTrial
 from cosim.scenario.recordings.recording import Progress, build_experiment
-from cosim.scenario.running.certificate import Certification
-from cosim.scenario.running.thinned_rows import QUARTERS
+from cosim.scenario.running.certificate import FINER, QUARTERS, Certification
 from cosim.theory.documents import StepError
 from cosim.theory.richardson import FEWEST
 
@@ -78,10 +76,10 @@ def find_step(
         error.add_note("no step was found yet, so nothing is recorded")
         raise
     trials = tuple(trial.document for trial in search.trials)
-    return best.certification.again(StepSearch(dict(tolerances), trials))
+    best.certification.search = StepSearch(dict(tolerances), trials)
+    return best.certification
 
 
-@dataclass(frozen=True, slots=True)
 class _TriedStep:
     """A step that was tried.
 
@@ -89,32 +87,38 @@ class _TriedStep:
     ----------
     step_ns : int
         [ns].
-    errors : mapping of label to StepError
-        Of the elements of signals that have a tolerance; none where a run ended early.
-    tolerances : mapping of label to float
     certification : Certification
         Of its run.
+    tolerances : mapping of label to float
+
+    Attributes
+    ----------
+    errors : dict of label to StepError
+        Of the elements of signals that have a tolerance; none where a run ended early.
+    exceeding : dict of label to StepError
+        Those that are unknown or too large; one that is lost in rounding by its bound.
+    failure : str
+        Why it is not fine, in words; of an error that is too large, how large it is.
+    follows_condition : bool
+        Whether there is no estimate of an error, nor with another step.
     """
 
-    step_ns: int
-    errors: Mapping[str, StepError]
-    tolerances: Mapping[str, float]
-    certification: Certification
-
-    @property
-    def exceeding(self) -> dict[str, StepError]:
-        """The errors that are unknown or too large; one that is lost in rounding by its bound."""
-        exceeding = {}
+    def __init__(
+        self, step_ns: int, certification: Certification, tolerances: Mapping[str, float]
+    ) -> None:
+        self.step_ns = step_ns
+        self.certification = certification
+        self._tolerances = tolerances
+        errors = {} if certification.problem else certification.errors()
+        self.errors = {label: errors[label] for label in tolerances if errors}
+        self.exceeding: dict[str, StepError] = {}
         for label, error in self.errors.items():
             known = error.bound if error.is_rounding else error.largest
-            if known is None or known > self.tolerances[label]:
-                exceeding[label] = error
-        return exceeding
-
-    @property
-    def is_fine(self) -> bool:
-        """Whether every error is known, and within its tolerance."""
-        return not self.certification.problem and not self.exceeding
+            if known is None or known > tolerances[label]:
+                self.exceeding[label] = error
+        self.failure = certification.problem or _excess_text(self.exceeding)
+        components = {label.partition(".")[0] for label in self.errors}
+        self.follows_condition = not components.isdisjoint(certification.of_conditions)
 
     @property
     def expected_step_ns(self) -> float:
@@ -122,25 +126,9 @@ class _TriedStep:
         factor = math.inf
         for label, error in self.errors.items():
             if error.largest and error.order:
-                ratio = self.tolerances[label] / error.largest
+                ratio = self._tolerances[label] / error.largest
                 factor = min(factor, ratio ** (1.0 / error.order))
         return self.step_ns * factor
-
-    @property
-    def failure(self) -> str:
-        """Why it is not fine, in words; of an error that is too large, how large it is."""
-        if self.certification.problem:
-            return self.certification.problem
-        texts = []
-        unknown: dict[str, list[str]] = {}
-        for label, error in self.exceeding.items():
-            if error.largest is None:
-                unknown.setdefault(error.reason, []).append(label)
-            else:
-                texts.append(f"the error of {label} is {error.largest:.3g}")
-        for reason, labels in unknown.items():
-            texts.append(f"no estimate of {', '.join(labels)}: {reason}")
-        return "; ".join(texts)
 
     @property
     def grows(self) -> bool:
@@ -148,16 +136,24 @@ class _TriedStep:
         return any(error.grows for error in self.errors.values())
 
     @property
-    def follows_condition(self) -> bool:
-        """Whether there is no estimate of an error, nor with another step."""
-        components = self.certification.of_conditions
-        return any(label.partition(".")[0] in components for label in self.errors)
-
-    @property
     def document(self) -> StepTrial:
         """What the log says of it."""
         largest = {label: error.largest for label, error in self.errors.items()}
         return StepTrial(self.step_ns / NANOSECONDS, largest, self.failure)
+
+
+def _excess_text(exceeding: Mapping[str, StepError]) -> str:
+    """Return how large errors are, or why they are not known."""
+    texts = []
+    unknown: dict[str, list[str]] = {}
+    for label, error in exceeding.items():
+        if error.largest is None:
+            unknown.setdefault(error.reason, []).append(label)
+        else:
+            texts.append(f"the error of {label} is {error.largest:.3g}")
+    for reason, labels in unknown.items():
+        texts.append(f"no estimate of {', '.join(labels)}: {reason}")
+    return "; ".join(texts)
 
 
 class _StepSearch:
@@ -211,7 +207,7 @@ class _StepSearch:
         upper = math.inf  # the last step that was not fine
         while (step_ns := self._next(best, upper)) is not None:
             trial = self._try(step_ns)
-            if trial.is_fine:
+            if not trial.failure:
                 best = trial
                 continue
             upper = step_ns
@@ -274,12 +270,9 @@ class _StepSearch:
 
     def _try(self, step_ns: int) -> _TriedStep:
         certification = Certification(self._at(step_ns), self._progress)
-        certification.run_all()
-        errors = {} if certification.problem else certification.errors()
-        of_signals = {label: errors[label] for label in self._tolerances if errors}
-        trial = _TriedStep(step_ns, of_signals, self._tolerances, certification)
-        self.trials.append(trial)
-        return trial
+        certification.run(1, *FINER)
+        self.trials.append(_TriedStep(step_ns, certification, self._tolerances))
+        return self.trials[-1]
 
 
 def _tolerances(graph: Graph, tolerances: Mapping[str, float]) -> dict[str, float]:

@@ -207,18 +207,7 @@ class OutputErrorProblem:
     @cached_property
     def limits(self) -> tuple[Vector, Vector]:
         """The bounds of all parameters, infinite where none are given, each ``(P,)``."""
-        lower = np.full(self.generators.parameters, -np.inf)
-        upper = np.full(self.generators.parameters, np.inf)
-        for j, (low, high) in self.bounds.items():
-            if not 0 <= j < len(lower):
-                raise AssumptionError(f"bounds: no theta[{j}]; there are {len(lower)} parameters")
-            if not low <= high:
-                raise AssumptionError(
-                    f"bounds of theta[{j}]: expected lower first, got {low} > {high}"
-                )
-            lower[j] = low
-            upper[j] = high
-        return lower, upper
+        return limits_of(self.bounds, self.generators.parameters)
 
     @property
     def span(self) -> float:
@@ -436,6 +425,26 @@ def fit_output_error(
     problem = OutputErrorProblem(data, plant, families, offset=offset, bounds=bounds)
     noise = noise or white_noise(problem.outputs)
     return problem.sampled(noise, forgetting).fit(theta)
+
+
+def limits_of(bounds: Mapping[int, tuple[float, float]], parameters: int) -> tuple[Vector, Vector]:
+    """Return bounds of theta as vectors, infinite where there is none, each ``(P,)``.
+
+    Raises
+    ------
+    AssumptionError
+        If there is no such theta, or a lower bound is above its upper one.
+    """
+    lower = np.full(parameters, -np.inf)
+    upper = np.full(parameters, np.inf)
+    for j, (low, high) in bounds.items():
+        if not 0 <= j < parameters:
+            raise AssumptionError(f"bounds: no theta[{j}]; there are {parameters} parameters")
+        if not low <= high:
+            raise AssumptionError(f"bounds of theta[{j}]: expected lower first, got {low} > {high}")
+        lower[j] = low
+        upper[j] = high
+    return lower, upper
 
 
 def squares_at(records: Sequence[ResponseRecord], theta: Vector) -> float:

@@ -137,7 +137,7 @@ def test_what_a_file_lacks_or_repeats_is_refused(tmp_path):
     """A file with other names; matrices beside a file."""
     path = saved(tmp_path)
     scipy.io.savemat(tmp_path / "plant.mat", {"Ap": A, "B": B})
-    with pytest.raises(ScenarioError, match=r"file plant\.mat: .*no A and C; available: B, Ap"):
+    with pytest.raises(ScenarioError, match=r"plant\.mat: .*no A and C; available: Ap, B"):
         cosim.run(path)
     path = write(tmp_path / "both.toml", 'file = "plant.mat"\nn_a = 1\nA = [[1]]', INITIAL)
     with pytest.raises(ScenarioError, match=r"models\.m\.A: not allowed with file"):

@@ -43,18 +43,13 @@ def test_found_step_is_the_largest_that_keeps_the_tolerance(tmp_path):
 
 def test_found_step_divides_the_delay_of_a_sensor():
     """0.25 s would keep the tolerance, and does not divide 0.05 s; 0.05 s does."""
-    scenario = certified.parsed("""
-        [components]
-        ramp = { kind = "ramp", slope = 1.0 }
-        meter = { kind = "sensor", delay = 0.05 }
-
-        [connections]
-        "meter.u" = "ramp.y"
-        """)
+    meter = 'meter = { kind = "sensor", delay = 0.05 }\n    [connections]\n    "meter.u" = "sine.y"'
+    scenario = certified.parsed(certified.SMOOTH.replace("[connections]", meter))
     log = cosim.run(scenario, find_step={"meter.y": 1.0})
     assert log.step_ns == 50_000_000
 
 
+@pytest.mark.slow
 def test_several_tolerances_are_kept_together():
     scenario = certified.parsed(certified.SPRING)
     log = cosim.run(scenario, find_step={"mass.y": 0.02, "speed.y": 1.0})
@@ -74,20 +69,13 @@ def test_an_exact_signal_takes_the_largest_step(signal, tolerance):
     assert found.largest == 0.0 or found.is_rounding
 
 
-def test_a_step_that_is_given_beside_is_refused(tmp_path, call):
+def test_a_step_that_is_given_beside_is_refused():
     """One of both would be ignored; that of the file is only where the search begins."""
-    path = write(tmp_path, certified.EXACT)
-    tolerances = {"third.y": 1e-6}
+    scenario = certified.parsed(certified.EXACT)
     edits = {"scenario.step": 0.1}
-    for scenario, set_ in ((path, edits), (cosim.load(path).set(edits), {})):
-        with pytest.raises(UsageError) as raised:
-            cosim.run(scenario, find_step=tolerances, set=set_)
-        assert "find_step or set['scenario.step'], got both" in str(raised.value)
-    for given in (["--step", "0.1"], ["--set", "scenario.step=0.1"]):
-        code, _, err = call("run", path, "--find-step", "third.y=1e-6", *given)
-        assert code == 2
-        assert "--find-step" in err
-        assert ("--step" if given[0] == "--step" else "--set scenario.step") in err
+    for edited, set_ in ((scenario, edits), (scenario.set(edits), {})):
+        with pytest.raises(UsageError, match=r"find_step or set\['scenario.step'\], got both"):
+            cosim.run(edited, find_step={"third.y": 1e-6}, set=set_)
 
 
 # --- where the confident sentence would be false ---

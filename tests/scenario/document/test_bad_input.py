@@ -28,7 +28,8 @@ def run_edited(tmp_path, *edits):
     cosim.run(path, out=tmp_path / "mine.mcap")
 
 
-# what is written in the place of what, and what the message says of that
+# what is written in the place of what, and what the message says of that, in its first line; behind
+# a + there are more, of what the mistake leaves open
 CASES = r"""
 filter_rate = 1e3 -> filter_rat = 1e3 :: :40: components.observer.filter_rat: .* 'filter_rate'\?
 rate = 1.0   -> # :: :18: components.u: 'rate' is missing .*\[rad/s\]
@@ -44,7 +45,7 @@ period = 0.1  -> irregular = 0.0  :: identifier.irregular: expected a number > 0
 "plant.u" = "u.y" -> "plant.u" = 3 :: connections.plant.u: .* string or a list or a table, got 3
 "plant.u" = "u.y" -> "plant.u" = { from = "u.y", gian = 2.0 } :: plant.u.gian: .*did you mean 'gain'
 "plant.u" = "u.y" -> "plant.u" = { gain = 2.0 } :: connections.plant.u: 'from' is missing
-"plant.u" = -> "plant.uu" = :: 'plant.uu': .*'uu'.*'u'.*: u, delta
+"plant.u" = -> "plant.uu" = :: +'plant.uu': .*'uu'.*'u'.*: u, delta
 "plant.delta" = -> # :: 'plant.delta' .*\[connections\]
 "observer.y" = "plant.y" -> "observer.y" = "plant.x_a" :: plant.x_a -> observer.y: .*2 .*size 1
 "plant.u" = "u.y" -> plant.u = "u.y"¶"plant.u" = "delta.y" :: :57: .*'plant.u' is given twice
@@ -68,7 +69,7 @@ period = 0.1  -> start = 2.0¶period = 0.1 :: identifier: start: .*longest delay
 [1.0, 2.0, 3.0] -> [1.0, 2.0] :: components.regressor: delays: expected 3, .*got 2 \(Assumption 3\)
 Bu = [[0], [2], [1]] -> Bu = [[0], [2]] :: Bu.*\(2, 1\)
 [[0, 1, 1], -> [[0, 1], :: models.academic.A: .*\[2, 3, 3\]
-[1, 0, 1]]¶Bu -> [1, 0, 0]]¶Bu :: components.plant: .*Assumption 2\); A\[2:, 2:\] .*INDEX_2
+[1, 0, 1]]¶Bu -> [1, 0, 0]]¶Bu :: +components.plant: .*Assumption 2\); A\[2:, 2:\] .*INDEX_2
 Bd = [[1], [0], [0]] -> Bd = [[0], [1], [0]] :: observer: .*Assumption 5\).*RELATIVE_DEGREE
 [0, -2, 1] -> [0, 2, 1] :: M - L C is not Hurwitz: eigenvalue \+2.*zero at \+2
 L = [4.0, 0.0] -> L = [-4.0, 0.0] :: M - L C is not Hurwitz: eigenvalue \+4
@@ -78,20 +79,32 @@ L = [4.0, 0.0] -> # :: L .*poles
 model = "academic"  -> model = "acedemic"  :: unknown model 'acedemic' .* mean 'academic'\?
 method = "output-error" -> method = "rls" :: identifier.method: .*'rls'; available: output-error,
 method = "output-error" -> method = "least-squares"¶P0 = -1.0 :: P0: .*-1.0
-1.7*t -> 1.7*tt :: 'tt'.*did you mean 't'\?
+1.7*t -> 1.7*tt :: +'tt'.*did you mean 't'\?
 "1.10 + 0.20*cos(2.3*t)" -> "2.7 + 0.5*sin(1.7*t)" :: are proportional
 "exponential" } -> "exponentail" } :: 'exponentail'.*did you mean 'exponential'\?
-[components.u] -> [components."u.v"] :: expected a name of letters, .*got 'u.v'
-[truth] -> [swap.plant]¶path = "x.fmu"¶map = { "plant.u" = "a", plant.u = "b" }¶[truth] :: twice
+[components.u] -> [components."u.v"] :: +expected a name of letters, .*got 'u.v'
+[connections] -> [conections] :: \[conections|conections: .*'connections'
+[models.academic] -> [model.academic] :: model: .*'models'
+n_a = 2 -> n_a = -2 :: models.academic.n_a: .*-2
+C  = [[2, 0, 1]] -> C  = [[2, 0]] :: models.academic: .*C
+step = 1e-3  -> step = -1e-3  :: :9: scenario.step: .*-0.001
+name = "academic" -> name = "" :: scenario.name: .*''
+"regressor.delta" = "observer.delta" -> "regressor.delta" = "observer" :: delta: .*'observer'
+[1.0, 2.0, 3.0] -> [1.0, 2.0, 3e300] :: components.regressor: .*3e\+300
+kind = "unknown-input-observer" -> kind = "observer" :: components.observer.kind: .*'observer'
+"observer.y" = "plant.y" -> # :: connections.observer.y: 'observer.y' is not connected
+[truth] -> [swap.plant]¶path = "x.fmu"¶map = { "plant.u" = "a", plant.u = "b" }¶[truth] :: +twice
 """
 
 
 def test_bad_input_is_refused_with_its_place(tmp_path):
-    """One clear error each, before anything is written: see CASES."""
+    """One line each, before anything is written: a consequence of a mistake is no second one."""
     cases = []
     for case in CASES.strip().splitlines():
         edit, pattern = case.split(" :: ")
-        cases.append((edit.replace("¶", "\n").split(" -> "), pattern))
+        end = "" if pattern.startswith("+") else r"(?=.*\Z)"
+        whole = rf"\A{end}.*({pattern.removeprefix('+')})"
+        cases.append((edit.replace("¶", "\n").split(" -> "), whole))
     check_refused(cases, lambda edit: run_edited(tmp_path, edit))
     assert not (tmp_path / "mine.mcap").exists()
     assert UsageError.exit_code == 2

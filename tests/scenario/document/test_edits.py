@@ -12,7 +12,6 @@ from cosim.scenario.document.document import component_in, parse_values, parts_o
 from cosim.scenario.document.places import written
 from tests.scenario.refusals import check_refused
 
-TABLES = ["scenario", "models", "connections", "truth", "actions", "record", "swap", "components"]
 THETA = [-0.1, -0.3]
 ACTED = """
 scenario = { name = "x", stop = 1.0, step = 0.5 }
@@ -29,45 +28,15 @@ def loaded(folder, text):
 
 
 @pytest.fixture
-def tables(tmp_path):
-    """Return a scenario with a component of the name of each table."""
-    components = [f'{name} = {{ kind = "constant", value = 1.0 }}' for name in TABLES]
-    settings = 'scenario = { name = "tables", stop = 0.1, step = 0.1 }'
-    return loaded(tmp_path, "\n".join([settings, "[components]", *components]))
-
-
-@pytest.fixture
 def academic():
     return cosim.load("academic")
 
 
 def tree(scenario):
-    return scenario.document.tree()[0]
-
-
-def final(scenario, changes):
-    log = cosim.run(scenario, set=changes)
-    return {name: log[f"{name}.y"][-1] for name in TABLES}
+    return scenario.document.tables().tree
 
 
 # --- keys ---
-
-
-def test_a_long_key_is_that_of_a_component_whatever_its_name(tables):
-    """Each one alone reaches its value."""
-    values = dict(zip(TABLES, range(2, 10), strict=True))
-    assert final(tables, {f"components.{name}.value": values[name] for name in TABLES}) == values
-
-
-def test_a_short_key_is_in_the_table_where_there_is_one(tables):
-    """[record] and [scenario] are set, and not the components of their names."""
-    edited = tables.set({"record.every": 2, "scenario.stop": 0.4, "scenario.step": 0.2})
-    assert edited.file.record.every == 2
-    assert edited.file.scenario.stop == 0.4
-    assert set(final(edited, {}).values()) == {1.0}
-    for name in TABLES[:-2]:
-        with pytest.raises(ScenarioError, match=rf"{name}(\.|\[)value"):
-            cosim.run(tables, set={f"{name}.value": 5.0})
 
 
 def test_a_swap_names_its_component_in_both_forms(tmp_path):
@@ -75,7 +44,7 @@ def test_a_swap_names_its_component_in_both_forms(tmp_path):
     cosim.run("pair", set={"scenario.stop": 0.01}, out=tmp_path / "pair.mcap")
     log = str(tmp_path / "pair.mcap")
     edited = cosim.load("pair").edit(swap={"components.load": log})
-    assert edited.document.swapped_components() == ["load"]
+    assert list(edited.document.tables().replaced) == ["load"]
     with pytest.raises(UsageError, match=r"load.*once"):
         cosim.load("pair").edit(swap={"components.load": log, "load": log})
 
@@ -94,7 +63,6 @@ def test_an_action_sets_a_component_in_both_forms(tmp_path, key):
     [
         ("components.motor.J", "motor.J", "motor"),
         ("motor.J", "motor.J", "motor"),
-        ("components.record.every", "components.record.every", "record"),
         ("record.every", "record.every", None),
         ("actions[0].at", "actions.0.at", None),
     ],
@@ -202,22 +170,6 @@ def test_values_are_split_at_their_own_commas():
     assert {text: parse_values(text) for text in VALUES} == VALUES
     with pytest.raises(UsageError, match="'1,,2'"):
         parse_values("1,,2")
-
-
-def test_a_component_with_the_name_of_a_table_is_set_by_its_long_key(tmp_path):
-    """The short key is that of the table; where that has no such key, the long one is named."""
-    names = ("record", "models", "truth", "connections", "actions", "swap", "scenario")
-    path = tmp_path / "names.toml"
-    path.write_text(
-        '[scenario]\nname = "names"\nstop = 1.0\nstep = 0.1\n[components]\n'
-        + "".join(f'{name} = {{ kind = "constant", value = 1.0 }}\n' for name in names)
-    )
-    scenario = cosim.load(path)
-    for name in names:
-        long = f"components.{name}.value"
-        assert scenario.set({long: 2.0}).specs[name].value == 2.0
-        with pytest.raises(ScenarioError, match=rf"of the component: set\['{long}'\]"):
-            scenario.set({f"{name}.value": 2.0})
 
 
 def test_the_element_that_is_wrong_is_named_where_a_list_may_be_of_several_types(

@@ -14,6 +14,7 @@ from cosim.cli import main
 from cosim.errors import ScenarioError
 from cosim.log.contents.schema import identifiers
 from cosim.scenario.document.document import find
+from cosim.scenario.document.schema import RESERVED
 from cosim.scenario.exporting import model_identifier
 from tests.scenario.document.written import toml_of
 from tests.scenario.refusals import check_refused
@@ -77,10 +78,14 @@ def test_names_that_look_the_same_are_not_two():
 
 
 def test_a_name_is_a_word_of_letters_digits_and_hyphens():
-    """Of any language, with 100 bytes at most."""
+    """Of any language, with 100 bytes at most; a component may have that of a table of the file."""
     names = ["", "_a", "1a", "a b", "a/b", "a\n", "a" * 101, "温" * 34, "-a", "."]
     cases = [(name, r"scenario\.name'\]: expected a name") for name in names]
     check_refused(cases, lambda name: cosim.load("academic").set({"scenario.name": name}))
+    tables = {f"components.{name}": {"kind": "constant", "value": 1.0} for name in RESERVED}
+    named = cosim.load("academic").set(tables)
+    assert named.set({"components.record.value": 2.0}).specs["record"].value == 2.0
+    assert named.set({"record.every": 2}).file.record.every == 2
 
 
 @settings(max_examples=200, derandomize=True, deadline=None)

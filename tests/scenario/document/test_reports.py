@@ -2,6 +2,7 @@
 
 import re
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -70,31 +71,6 @@ def test_mistakes_of_all_layers_come_together():
     assert len(lines) == len(expected), lines
 
 
-OBSERVER_Y = '"observer.y" = "plant.y"'
-REGRESSOR_DELTA = '"regressor.delta" = "observer.delta"'
-MISTAKES = [  # and where the report has its line, what it says there
-    ("filter_rate = 1e3", "filter_rat = 1e3", "filter_rat", "'filter_rat'"),
-    ("[connections]", "[conections]", "[conections]", "'connections'"),
-    ("[models.academic]", "[model.academic]", "[model.academic]", "'models'"),
-    ("L = [4.0, 0.0]", "L = [-4.0, 0.0]", "[components.observer]", "Hurwitz"),
-    ("n_a = 2", "n_a = -2", "n_a", "-2"),
-    ("C  = [[2, 0, 1]]", "C  = [[2, 0]]", "[models.academic]", "C"),
-    ("step = 1e-3 ", "step = -1e-3 ", "step =", "-0.001"),
-    ('name = "academic"', 'name = ""', "name =", "''"),
-    (REGRESSOR_DELTA, '"regressor.delta" = { gain = 1 }', '"regressor.delta"', "'from'"),
-    (REGRESSOR_DELTA, '"regressor.delta" = "observer"', '"regressor.delta"', "'observer'"),
-    (REGRESSOR_DELTA, '"regressor.delta" = "observer.dlta"', '"regressor.delta"', "'dlta'"),
-    ("delays = [1.0, 2.0, 3.0]", "delays = [1.0, 2.0, 2.0]", "[components.regressor]", "2 s twice"),
-    ("delays = [1.0, 2.0, 3.0]", "delays = [1.0, 2.0, 3e300]", "[components.regressor]", "3e+300"),
-    ('kind = "unknown-input-observer"', 'kind = "observer"', 'kind = "observer"', "'observer'"),
-    (OBSERVER_Y, '"observer.y" = "plnt.y"', '"observer.y"', "component 'plnt'"),
-    (OBSERVER_Y, '"observer.y" = "plant.yy"', '"observer.y"', "'yy'"),
-    (OBSERVER_Y, '"observer.y" = "plant.x_a"', '"observer.y"', "size 2"),
-    (OBSERVER_Y, "", "[connections]", "'observer.y' is not connected"),
-    ('"observer.u" = "u.y"', "", "[connections]", "'observer.u' is not connected"),
-]
-
-
 SIX_LAYERS = """
 [scenario]
 name = "six"
@@ -143,16 +119,15 @@ def test_a_misspelt_key_hides_no_wrong_connection_of_its_component():
     assert "did you mean 'y'" in lines[1]
 
 
-def test_a_consequence_of_a_mistake_is_not_a_second_mistake():
-    """One wrong thing is one line, at its place; others follow from it, as of the identifier."""
-    mismatches = []
-    for before, after, place, text in MISTAKES:
-        wrong = edited((before, after))
-        lines = report(wrong)
-        is_at_place = lines[0].startswith(f"x.toml:{line_of(wrong, place)}: ")
-        if len(lines) > 1 or not is_at_place or text not in lines[0]:
-            mismatches.append((after, lines))
-    assert mismatches == []
+def test_what_rests_on_a_component_that_is_not_built_is_told_all_the_same():
+    """Of a part of a scenario: the observer, whose design the regressor reads, is not in it."""
+    text = edited(("L = [4.0, 0.0]", "L = [-4.0, 0.0]"))
+    whole = parse(Document(text, "x.toml", Path.cwd()))
+    part = replace(whole, specs={n: s for n, s in whole.specs.items() if n != "observer"})
+    with ExitStack() as resources:
+        problems = Builder(part, resources, beside=whole).problems
+    assert problems[0][0] == ("components", "regressor")
+    assert "Hurwitz" in problems[0][1]
 
 
 def test_a_path_of_windows_in_double_quotes_names_the_way_out():

@@ -1,6 +1,7 @@
 """Filters of delta in scenarios: what lags is read at its instant, what was chosen is replayed."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -10,13 +11,9 @@ import cosim
 from cosim.errors import LogError, ScenarioError
 from cosim.report.summary import summarize
 from cosim.scenario.exporting import export_component
-from cosim.theory.disturbances.families import Exponential, Sine, group_by_alpha
-from cosim.theory.disturbances.regression import expand
-from cosim.theory.estimators import least_squares as linear
 from tests.log.crafting import put_together, take_apart
 from tests.scenario.refusals import check_refused
 
-H = 1e-3
 SHORT = {"scenario.stop": 9.0}
 WINDOW = {"observer.filter": "savitzky-golay", "observer.half_width": 0.1}
 CONSISTENT = {"observer.filter": "consistent"}
@@ -51,11 +48,9 @@ def two(academic):
 def academic(tmp_path_factory):
     """Return the path of the shipped example without its identifier: nothing is fitted here."""
     text = cosim.load("academic").document.text
-    begin = text.index("[components.identifier]")
-    text = text[:begin] + text[text.index("[connections]") :]
-    lines = [line for line in text.splitlines() if '"identifier.' not in line]
+    text = re.sub(r'(?s)\[components\.identifier\].*?(?=\[conn)|"identifier\.[^\n]*', "", text)
     path = tmp_path_factory.mktemp("academic") / "academic.toml"
-    path.write_text("\n".join(lines), encoding="utf-8")
+    path.write_text(text, encoding="utf-8")
     return path
 
 
@@ -70,22 +65,16 @@ def metadata(recording, component):
     return json.loads(recording.metadata[f"cosim.component.{component}"]["metadata"])
 
 
-def theta_error(recording):
-    """Return the errors of theta by least squares (33)-(35) on the recorded regressor."""
-    families = [Sine(), Exponential()]
-    groups = group_by_alpha(["1", ALPHA], families)
-    recovery = linear.plan(expand((2, 1)), groups, DELAYS)
-    used = recording.time("regressor.mu") >= 5.0
-    weights = linear.trapezoid_weights(recording.time("regressor.mu")[used])
-    eta = linear.least_squares(recording["regressor.mu"][used], weights)
-    return np.abs(linear.recover(recovery, eta) - [1.3, -0.05])
-
-
-def test_a_known_lag_of_delta_leaves_no_bias(two):
+@pytest.mark.slow
+def test_a_known_lag_of_delta_leaves_no_bias():
     """The paper's filter reads w' 1/200 s late; others leave 1/rate^2 or the fourth order."""
-    assert theta_error(cosim.run(two))[1] > 5e-3
-    for changes in (CONSISTENT, WINDOW):
-        assert (theta_error(cosim.run(two, set=changes)) < 5e-5).all()
+    errors = []
+    for changes in ({}, CONSISTENT, WINDOW):
+        own = {"identifier.method": "least-squares", "identifier.start": 5.0, **changes}
+        run = cosim.run("academic", set=TWO | own)
+        errors.append(np.abs(run["identifier.theta"][-1] - [1.3, -0.05]))
+    assert errors[0][1] > 5e-3
+    assert (np.array(errors[1:]) < 5e-5).all()
 
 
 @pytest.mark.parametrize(
@@ -271,8 +260,8 @@ WRONG_FILTERS = [
     ({"noise": 0.1}, r"noise: .*filter = 'auto' only, got filter = 'first-order'"),
     ({"filter": "auto"}, r"expected either noise, .*or noise_from"),
     ({"filter": "auto", "noise": 1.0, "noise_from": "x.mcap"}, r"expected either noise"),
-    ({"filter": "auto", "noise": -1.0}, r"noise: expected .*>= 0, got \[-1.0\]"),
-    ({"filter": "auto", "noise": [1.0, 2.0]}, r"noise: expected 1 numbers, .*got 2"),
+    ({"filter": "auto", "noise": -1.0}, r"noise.*: expected a number >= 0, got -1.0"),
+    ({"filter": "auto", "noise": [1.0, 2.0]}, r"noise: expected one .*1 elements, got 2"),
     ({"filter": "auto", "noise": 1e3}, r"leaves an error of"),
     ({"filter": "auto", "noise_from": "no.mcap"}, r"no\.mcap"),
     ({**SG, "half_width": 0.0105}, r"half_width.*nearest"),
@@ -291,18 +280,6 @@ def test_a_wrong_filter_is_refused(academic):
     check_refused(WRONG_FILTERS, refuse, ScenarioError)
 
 
-def test_a_constant_alpha_has_no_bandwidth_and_hides_no_other_fault():
-    """There is a regressor, of an exponential: what it lacks is said, and a wrong noise first."""
-    terms = [{"alpha": "1.0", "family": "exponential"}]
-    changes = {"observer.filter": "auto", "regressor.terms": terms, "regressor.delays": [0.5, 1.0]}
-    for noise, message in [
-        (-1.0, r"noise: expected .*>= 0, got \[-1.0\]"),
-        (0.1, r"give both, or connect a regressor with exponential terms only"),
-    ]:
-        with pytest.raises(ScenarioError, match=message):
-            cosim.run("academic", set={**changes, "observer.noise": noise})
-
-
 def test_an_identifier_waits_for_the_window():
     """Its start comes after the longest delay and the window; a computed one by itself."""
     changes = {"scenario.stop": 9.0, "identifier.start": 8.0, "observer.half_width": 2.6}
@@ -319,9 +296,11 @@ def test_an_identifier_waits_for_the_window():
 
 
 def test_the_choice_needs_what_delta_is_like(two):
-    """A sine has no rate that is known before: it is what is identified."""
-    with pytest.raises(ScenarioError, match="requires amplitude and bandwidth of delta"):
-        cosim.run(two, set=AUTO)
+    """A sine has no rate that is known before: it is what is identified; a constant has none."""
+    constant = {"regressor.terms": [{"family": "exponential"}], "regressor.delays": [0.5, 1.0]}
+    for changes in (AUTO, AUTO | constant):
+        with pytest.raises(ScenarioError, match="requires amplitude and bandwidth of delta"):
+            cosim.run(two, set=changes)
     given = {"observer.amplitude": 2.0, "observer.bandwidth": 2.3}
     run = cosim.run(two, set=AUTO | given | {"scenario.stop": 8.0})
     assert metadata(run, "observer")["choice"]["result"]["bandwidth"] == 2.3

@@ -16,7 +16,6 @@ from cosim.report import recorded_rows as report_rows
 from cosim.report.summary import summarize
 from cosim.report.verification import verify
 from cosim.scenario.recordings import recorded_scenario
-from cosim.scenario.running import replay
 from tests.log.recordings import make_chunks_small
 
 SCENARIO = """
@@ -54,8 +53,7 @@ def small_limits(monkeypatch):
     monkeypatch.setattr(recorded_rows, "_MOST_BYTES", 2**14)
     monkeypatch.setattr(recorded_rows, "_LEAST_BYTES", 2**14)
     monkeypatch.setattr(report_rows, "_PART_STEPS", 2**10)
-    monkeypatch.setattr(replay, "_LARGE", 0)
-    monkeypatch.setattr(recorded_scenario, "_MOST_LOADED", 0)
+    monkeypatch.setattr(recorded_scenario, "_LARGE", 0)
     monkeypatch.setattr(engine, "BLOCK_BYTES", 2**16)
     make_chunks_small(monkeypatch, 2**16)
     monkeypatch.setattr(encoding, "_LARGEST_FLUSH", 2**18)

@@ -1,5 +1,6 @@
-"""A run that signals end: what its log holds, and who hears the signals behind it."""
+"""What a run records beside its rows, and what its log holds where signals end it."""
 
+import json
 import signal
 
 import pytest
@@ -7,7 +8,10 @@ import pytest
 import cosim
 from cosim.errors import Interrupted
 from cosim.interrupts import REASONS
+from cosim.log.contents.viewer_layout import LAYOUT_FILE
+from cosim.scenario.document.document import shipped
 from cosim.scenario.recordings.recording import interruptible
+from tests.log.contents.viewing import curves, decoded, leaves, parsed
 
 SETTINGS = {"scenario.stop": 0.02}
 
@@ -70,3 +74,16 @@ def test_the_error_says_how_far_the_log_goes(tmp_path, is_replaced):
     notes = [] if is_replaced else [f"{path} holds the run up to t = 0.01 s"]
     assert getattr(raised.value, "__notes__", []) == notes
     assert is_replaced or cosim.open_log(path).end_ns == 10_000_000
+
+
+@pytest.mark.fast("pair", "academic")
+@pytest.mark.parametrize("name", shipped())
+def test_every_path_of_the_layout_leads_to_values_of_its_log(name, tmp_path):
+    """Topic and field are in the decoded messages."""
+    log = cosim.run(name, out=tmp_path / "a.mcap", set={"scenario.stop": 0.1})
+    layout = json.loads(log.attachment(LAYOUT_FILE))
+    values = decoded(tmp_path / "a.mcap")
+    paths, _ = curves(layout)
+    assert paths
+    assert all(len(values[parsed(path)]) >= 1 for path in paths)
+    assert sorted(leaves(layout["layout"])) == sorted(layout["configById"])

@@ -2,16 +2,20 @@
 
 import random
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from mcap.reader import make_reader
 
 import cosim
 from cosim.errors import CosimError, LogError, ScenarioError, UsageError
+from cosim.log.editing.recovering import recover
 from cosim.report.verification import verify
 from cosim.scenario.document.document import shipped
 from cosim.scenario.record import replay_origin
 from tests.log.crafting import change_rows, put_together, take_apart
+from tests.log.recordings import make_chunks_small
 from tests.scenario.refusals import check_refused
 
 pytestmark = pytest.mark.usefixtures("without_verdicts")
@@ -44,11 +48,18 @@ def recorded(signals, every=1):
     return {"record.signals": signals, "record.every": every}
 
 
-def check_bits(again, whole):
-    """Check that all signals of a replay have the bits of the whole run."""
+def check_bits(again, whole, window_ns=None):
+    """Check that all signals of a replay have the bits of the whole run, up to where it ends."""
     assert len(again) > 0
-    for name in again:
-        assert again[name].tobytes() == whole[name].tobytes(), name
+    begin_ns, end_ns = window_ns or (whole.grid.start_ns, again.end_ns)
+    assert again.end_ns == end_ns
+    for name, channel in again.channels.items():
+        time_ns = whole.time_ns(name)
+        inside = (time_ns >= begin_ns) & (time_ns <= end_ns)
+        assert again.time_ns(name).tolist() == time_ns[inside].tolist()
+        for signal in channel.signals:
+            port = f"{name}.{signal.name}"
+            assert again[port].tobytes() == whole[port][inside].tobytes(), port
 
 
 # --- of any scenario, any components ---
@@ -69,47 +80,80 @@ KINDS = {  # table, inputs, whether the outputs follow these at the same instant
 
 @st.composite
 def scenarios(draw):
-    """Return the text of a scenario in which inputs are driven by anything, loops among it."""
+    """Return the text of a scenario in which inputs are driven by anything, loops among it.
+
+    Some of the inputs are faulty for a while.
+    """
     step, period = draw(st.sampled_from([("0.01", "0.03"), ("'1/60'", "'1/20'")]))
     coupling = draw(st.sampled_from(["gauss-seidel", "jacobi", "newton"]))
     kinds = draw(st.lists(st.sampled_from([*KINDS]), min_size=2, max_size=5))
     names = ["source", *(f"{kind}{i}" for i, kind in enumerate(kinds))]
     tables = ["source = { kind = 'sine', rate = 9.0 }"]
-    connections = []
+    connections = {}
     for i, kind in enumerate(kinds, start=1):
         table, inputs, follows = KINDS[kind]
         tables.append(f"{names[i]} = {table.replace('PERIOD', period)}")
         # no algebraic loop: what follows at once is driven by what stands before it
         for name in inputs:
             driver = draw(st.sampled_from(names[:i] if follows else names))
-            connections.append(f'"{names[i]}.{name}" = "{driver}.y"')
+            connections[f"{names[i]}.{name}"] = f"{driver}.y"
+    actions = []
+    for signal in draw(st.sets(st.sampled_from([*connections]), max_size=2)):
+        begin, end = sorted(draw(st.sets(st.integers(0, 9), min_size=2, max_size=2)))
+        fault = draw(st.sampled_from(["override = 0.3", "offset = 0.2", "gain = 1.5"]))
+        actions.append(f"{{ at = {begin / 20}, signal = '{signal}', {fault} }}")
+        actions.append(f"{{ at = {end / 20}, signal = '{signal}', release = true }}")
     head = f"name = 'random', stop = 0.5, step = {step}, coupling = '{coupling}'"
     return "\n".join(
         [
             f"scenario = {{ {head}, coupling_check = 'warn' }}",
             "models.mass = { A = [[0, 1], [-4, -2]], Bu = [[0], [1]], C = [[1, 0]] }",
+            f"actions = [{', '.join(actions)}]",
             "[components]",
             *tables,
             "[connections]",
-            *connections,
+            *(f"'{to}' = '{source}'" for to, source in connections.items()),
         ]
     )
+
+
+def recording_of(data, path, folder):
+    """Record a run; return its log: in one file, in several, or what was saved of a part of it."""
+    out = folder / "log.mcap"
+    way = data.draw(st.sampled_from(["whole", "rotated", "recovered"]), label="recording")
+    with pytest.MonkeyPatch.context() as patch:
+        make_chunks_small(patch, 2**10)
+        log = cosim.run(path, out=out, rotate="0.2s" if way == "rotated" else None)
+    if way == "recovered":
+        with out.open("rb") as stream:
+            chunks = make_reader(stream).get_summary().chunk_indexes
+        last = data.draw(st.sampled_from(chunks[len(chunks) // 2 :]), label="last chunk")
+        content = out.read_bytes()[: last.chunk_start_offset + last.chunk_length]
+        (folder / "cut.mcap").write_bytes(content)
+        log = recover(folder / "cut.mcap", folder / "recovered.mcap").log
+    return log
 
 
 def check_any(data, folder):
     """Check that any components follow from the others, of a whole log and of a part of one."""
     path = folder / "random.toml"
     path.write_text(data.draw(scenarios(), label="scenario"))
-    whole = cosim.run(path, out=folder / "whole.mcap", force=True)
+    whole = cosim.run(path)
     rerun = data.draw(st.booleans(), label="rerun")
     computable = [n for n in whole.channels if rerun or not n.startswith("plant")]
     chosen = data.draw(st.sets(st.sampled_from(computable), min_size=1), label="components")
-    again = cosim.replay(whole, components=sorted(chosen), rerun=rerun)
+    log = recording_of(data, path, folder)
+    last = np.searchsorted(whole.time_ns("source"), log.end_ns) // 3  # all have rows at each third
+    points = st.sets(st.integers(0, int(last)), min_size=2, max_size=2)
+    window_ns = [whole.grid.stamp(3 * point) for point in sorted(data.draw(points, label="window"))]
+    window = tuple(time_ns / 1e9 for time_ns in window_ns)
+    again = cosim.replay(log, components=sorted(chosen), rerun=rerun, window=window)
     assert set(replay_origin(again).copied) == whole.channels.keys() - chosen
     assert list(again) == list(whole)
-    check_bits(again, whole)
+    check_bits(again, whole, window_ns)
+    check_bits(cosim.replay(log, components=sorted(chosen), rerun=rerun), whole)
     signals = data.draw(st.sets(st.sampled_from([*whole]), min_size=1), label="signals")
-    part = cosim.run(path, out=folder / "part.mcap", force=True, set=recorded(sorted(signals)))
+    part = cosim.run(path, out=folder / "part.mcap", set=recorded(sorted(signals)))
     try:
         again = cosim.replay(part, components=sorted(chosen), rerun=rerun, set=ALL)
     except (LogError, UsageError) as error:
@@ -163,19 +207,6 @@ def test_a_shipped_scenario_is_replayed_from_what_is_recorded(name, tmp_path):
         check_bits(cosim.replay(part, set=ALL), log)
 
 
-@pytest.mark.parametrize(
-    ("name", "signal"),
-    [("academic", "observer.u"), ("closed-loop", "plant.u")],  # which feedback.u[0:2] follows
-)
-def test_overrides_reach_a_component_whichever_are_chosen(name, signal, tmp_path):
-    """Of a component from the log its rows know; one that is computed gets them again."""
-    with cosim.load(name).set(SHORT).start(out=tmp_path / "a.mcap") as session:
-        session.step(50)
-        session[signal] = 1.0
-        session.step(150)
-    check_each(cosim.open_log(tmp_path / "a.mcap"))
-
-
 # --- what is chosen of a whole log ---
 
 
@@ -206,7 +237,7 @@ def test_a_chosen_component_is_computed_from_the_rows_of_the_log(log, tmp_path):
 
 CHOICES = [
     (["obserer"], r"'obserer'; did you mean 'observer'\? Available"),
-    (["observer", "plant"], "'plant' cannot be computed.*rerun=True .*: u, delta, observer, regr"),
+    (["observer", "plant"], "'plant' cannot be computed.*rerun=True; .*: u, delta, observer, regr"),
     ([], r"components: expected at least one .*; got none"),
     ("observer", r"components: .*'observer'"),
 ]
@@ -242,19 +273,41 @@ behind = { kind = "lag", time_constant = 0.3 }
 """
 
 
-@pytest.mark.parametrize("offset", [0.0, 0.03, 0.05])
-@pytest.mark.parametrize("component", ["source", "behind"])
-@pytest.mark.parametrize("stop", [0.27, 0.4])
-def test_what_followed_a_fault_is_held_until_the_next_sample(component, offset, stop, tmp_path):
-    """The fault falls on a sample of a copied controller, whose row there is the left limit."""
+SENSOR = {
+    'kind = "pid", gain = 0.5': 'kind = "sensor"',
+    "offset = OFFSET": "dropout = 0.4, seed = 3",
+    '"pid.setpoint" = "source.y"\n': "",
+    "pid.measurement": "pid.u",
+}
+UNRECORDED = [["behind.*"], ["behind.u"], ["pid.y", "behind.y"]]
+STEADY = {", period = 0.1": "", ", offset = OFFSET": ""}
+FAULTS = [  # changes of the text, offset of the samples, stop, recorded signals
+    *(({}, offset, stop, ["*"]) for offset in (0.0, 0.03, 0.05) for stop in (0.27, 0.4)),
+    (SENSOR, 0.0, 0.4, ["*"]),
+    *((edits, 0.0, 0.4, named) for edits in ({}, STEADY) for named in UNRECORDED),
+]
+
+
+@pytest.mark.parametrize(("edits", "offset", "stop", "signals"), FAULTS)
+def test_what_followed_a_fault_is_held_until_the_next_sample(
+    edits, offset, stop, signals, tmp_path
+):
+    """The fault falls on a sample of a copied controller, whose row there is the left limit.
+
+    A partial log has nothing of the faulted input, and not what drives it, but what followed.
+    """
+    text = SAMPLED
+    for old, new in edits.items():
+        text = text.replace(old, new)
     path = tmp_path / "sampled.toml"
-    text = SAMPLED.replace("OFFSET", str(offset)).replace("TIME", str(0.2 + offset))
-    path.write_text(text)
-    log = cosim.run(path, set={"scenario.stop": stop}, out=tmp_path / "log.mcap")
-    assert ("pid.y", "follow") in [(event.signal, event.cause) for event in log.events()]
-    again = cosim.replay(log, components=[component])
-    check_bits(again, log)
-    assert again.events() == log.events()
+    path.write_text(text.replace("OFFSET", str(offset)).replace("TIME", str(0.2 + offset)))
+    whole = cosim.run(path, stop=stop)
+    log = cosim.run(path, stop=stop, set=recorded(signals), out=tmp_path / "log.mcap")
+    for component in ("source", "behind") if signals == ["*"] else ("behind",):
+        again = cosim.replay(log, components=[component], set=ALL)
+        check_bits(again, whole)
+        assert ("behind.u", "follow") in [(event.signal, event.cause) for event in again.events()]
+        assert log.partial is not None or again.events() == log.events()
 
 
 def test_a_sensor_whose_log_has_not_all_its_rows_is_to_be_computed(tmp_path):
@@ -270,22 +323,6 @@ def test_a_sensor_whose_log_has_not_all_its_rows_is_to_be_computed(tmp_path):
     with pytest.raises(ScenarioError, match=message):
         cosim.replay(log, components=["identifier"])
     assert verify(log, cosim.replay(log, components=["identifier", "sensor"])).passed
-
-
-def test_a_sensor_whose_samples_nobody_reads_is_copied(tmp_path):
-    """What it holds is in its rows, and what followed a fault at a sample in the events."""
-    path = tmp_path / "sampled.toml"
-    path.write_text(
-        SAMPLED.replace('kind = "pid", gain = 0.5', 'kind = "sensor"')
-        .replace(", offset = OFFSET", ", dropout = 0.4, seed = 3")
-        .replace("TIME", "0.2")
-        .replace('"pid.setpoint" = "source.y"\n', "")
-        .replace("pid.measurement", "pid.u")
-    )
-    log = cosim.run(path, out=tmp_path / "log.mcap")
-    assert ("behind.u", "follow") in [(event.signal, event.cause) for event in log.events()]
-    for component in ("source", "behind"):
-        check_bits(cosim.replay(log, components=[component]), log)
 
 
 # --- of a partial log ---
@@ -309,8 +346,8 @@ def loop(tmp_path):
     path.write_text(LOOP)
 
     def record(signals, every=1):
-        out = tmp_path / "loop.mcap"
-        return cosim.run(path, out=out, force=True, set=recorded(signals, every))
+        out = tmp_path / f"{len(list(tmp_path.iterdir()))}.mcap"
+        return cosim.run(path, out=out, set=recorded(signals, every))
 
     return record
 
@@ -381,16 +418,16 @@ def test_what_a_partial_log_does_not_allow_is_refused_by_name(part):
 
 def test_a_loop_is_computed_as_a_whole_or_beside_members_recorded_whole(loop):
     """Faults and steps of parameters happen in it again."""
-    whole = {name: values.copy() for name, values in loop(["*"]).items()}
+    whole = loop(["*"])
     again = cosim.replay(loop(["behind.y"], 5), set=ALL)
     assert replay_origin(again).copied == ()
     check_bits(again, whole)
     again = cosim.replay(loop(["plant.*", "pid.*", "setpoint.y"]), set=ALL, components=["pid"])
     assert set(again.channels) == {"setpoint", "pid", "plant"}
     check_bits(again, whole)
-    with pytest.raises(LogError, match="pid: it is in a loop with 'plant', which is not recorded"):
+    with pytest.raises(LogError, match=r"pid: it is in a loop with 'plant', which is not recorded"):
         cosim.replay(loop(["plant.y", "pid.*", "setpoint.y"]), components=["pid"])
-    with pytest.raises(LogError, match="with 'plant', which is copied, and is not"):
+    with pytest.raises(LogError, match=r"with 'plant', which is copied, and 'pid' is not"):
         cosim.replay(loop(["plant.*", "pid.y", "setpoint.y"]), components=["pid"])
 
 
@@ -399,20 +436,6 @@ def test_an_input_with_a_fault_or_a_gain_is_not_what_drives_it(loop, signal):
     """So that it says nothing of the plant."""
     with pytest.raises(LogError, match=r"its input 'behind\.u' comes from 'plant\.y'"):
         cosim.replay(loop([signal]), components=["behind"])
-
-
-@pytest.mark.parametrize("signals", [["behind.*"], ["behind.u"], ["pid.y", "behind.y"]])
-@pytest.mark.parametrize("period", ["", ", period = 0.1"])
-def test_what_follows_an_unrecorded_fault_reaches_what_is_computed(signals, period, tmp_path):
-    """The log has nothing of the faulted input, and not what drives it, but what followed."""
-    path = tmp_path / "sampled.toml"
-    text = SAMPLED.replace(", period = 0.1, offset = OFFSET", period).replace("TIME", "0.2")
-    path.write_text(text)
-    whole = cosim.run(path)
-    log = cosim.run(path, set=recorded(signals), out=tmp_path / "log.mcap")
-    again = cosim.replay(log, components=["behind"], set=ALL)
-    check_bits(again, whole)
-    assert ("behind.u", "follow") in [(event.signal, event.cause) for event in again.events()]
 
 
 def test_events_of_signals_that_a_copied_component_lacks_are_passed_over(tmp_path):
@@ -510,3 +533,30 @@ def test_a_partial_log_without_a_row_is_refused(loop, tmp_path):
     del content.messages[index]
     with pytest.raises(CosimError):
         cosim.replay(put_together(content, tmp_path / "b.mcap"))
+
+
+def test_a_partial_log_whose_inputs_changed_otherwise_is_refused(part, tmp_path):
+    """What is computed has to take them as in the run, also where only a window is recorded."""
+    content = take_apart(part(["plant.y"]).path)
+    items = dict(content.metadata)["cosim.component.observer"]
+    items["cosim.held"] = "[true,false]"
+    path = put_together(content, tmp_path / "b.mcap")
+    for window in (None, (0.1, 0.2)):
+        with pytest.raises(LogError, match="'observer' cannot be computed as in the run"):
+            cosim.replay(path, window=window)
+
+
+def test_a_part_rests_on_what_it_rests_on_in_the_whole_run(tmp_path):
+    """What the observer reads to warn of its filter is no reason of another component's design."""
+    lag = {"kind": "lag", "time_constant": 1.0}
+    more = {"components.a": lag, "connections.a.u": "u.y"}  # computed: the last one of the replay
+    more |= {"components.b": lag, "connections.b.u": "plant.y"}  # absent: the last one of the run
+    log = cosim.run(
+        "academic",
+        out=tmp_path / "a.mcap",
+        set={**more, "scenario.stop": 0.2, "scenario.step": 0.01, **recorded(["regressor.delta"])},
+    )
+    again = cosim.replay(log)
+    assert set(replay_origin(again).absent) >= {"plant", "b"}
+    verification = verify(log, again)
+    assert verification.passed, verification.problems

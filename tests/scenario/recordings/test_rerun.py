@@ -1,19 +1,24 @@
-"""Replays that compute plants too: FMUs of the log only where that is allowed."""
+"""What a replay takes from its log: FMUs only where that is allowed, and designs; forged logs."""
 
 import hashlib
 import io
 import json
+import re
 import zipfile
 
+import numpy as np
 import pytest
 
 import cosim
+from cosim.core import linear
 from cosim.errors import CosimError, FmuError, LogError, UsageError
+from cosim.log.contents.metadata import decode_design, encode_design
 from cosim.log.mcap_file.places import MOST_ATTACHED
 from cosim.report.verification import verify
 from cosim.scenario.document.document import find, shipped
 from cosim.scenario.record import component_record, replay_origin
-from cosim.scenario.recordings import embedding
+from cosim.scenario.recordings import log_contents
+from cosim.scenario.recordings.replay_request import ReplayRequest
 from cosim.scenario.running.replay import replays_of
 from tests.fmi import lag
 from tests.fmi.compiled import compile_fmu
@@ -62,21 +67,31 @@ def forged(log, path, change):
 
 def change_metadata(component, change):
     """Return what changes the metadata record of a component, or of the run."""
-
-    def changed(content):
-        for name, items in content.metadata:
-            if name == component:
-                change(items)
-
-    return changed
+    return lambda content: change(dict(content.metadata)[component])
 
 
-def replace_fmu(content, name, data):
-    """Put other bytes in the place of an embedded FMU."""
-    content.attachments = [
-        (name or old, data) if old.endswith(".fmu") else (old, own)
-        for old, own in content.attachments
-    ]
+def replace_fmu(data, sha256=None):
+    """Return what puts other bytes in the place of the FMU, and says another hash of it."""
+
+    def change(content):
+        items = dict(content.metadata)["cosim.component.plant"]
+        said = json.loads(items["metadata"])
+        items["metadata"] = json.dumps({**said, "sha256": sha256 or said["sha256"]})
+        content.attachments = [
+            (f"{sha256}.fmu" if sha256 else name, data) if name.endswith(".fmu") else (name, own)
+            for name, own in content.attachments
+        ]
+
+    return change
+
+
+def say_sha256(sha256):
+    """Return what changes the hash that the log says of its FMU."""
+
+    def change(items):
+        items["metadata"] = json.dumps({**json.loads(items["metadata"]), "sha256": sha256})
+
+    return change_metadata("cosim.component.plant", change)
 
 
 @pytest.mark.fast("pair", "academic", "closed-loop")
@@ -149,60 +164,28 @@ def test_no_fmu_runs_without_both_permissions(folder, embed, call):
     assert (folder / "mark").exists()
 
 
-def test_another_fmu_is_refused_by_name_before_it_runs(folder):
-    """In the log, and beside it."""
+def test_another_fmu_is_refused_by_name_before_it_runs(folder, subtests):
+    """In the log, or beside it; one whose hash is none, or fits an archive that leads out of it."""
     log = run(folder, embed=True)
-    sha256 = component_record(log, "plant").sha256
     other = (folder / "lag.fmu").read_bytes() + b"\0"
-    changed = forged(log, folder / "b.mcap", lambda content: replace_fmu(content, "", other))
-    message = f"the FMU of 'plant': the FMU in .*b.mcap: expected the SHA-256 {sha256}"
-    with pytest.raises(FmuError, match=message):
-        cosim.replay(changed, **BOTH)
-    log = run(folder)
-    (folder / "lag.fmu").write_bytes(other)
-    message = rf"the FMU of 'plant': lag\.fmu: .*{sha256} .*; it is not run"
-    with pytest.raises(FmuError, match=message):
-        cosim.replay(log, **BOTH)
-    assert not (folder / "mark").exists()
-
-
-def test_a_hash_that_is_none_is_refused(folder, subtests):
-    """It names an attachment and a file, so it has to be a hash."""
-    log = run(folder, embed=True)
-    for sha256 in ["../../evil", "0" * 63, "G" * 64, 3, None]:
-
-        def change(items, sha256=sha256):
-            items["metadata"] = json.dumps({**json.loads(items["metadata"]), "sha256": sha256})
-
-        with subtests.test(sha256=sha256):
-            name = "cosim.component.plant"
-            changed = forged(log, folder / "b.mcap", change_metadata(name, change))
-            with pytest.raises(LogError, match=r"SHA-256|sha256"):
-                cosim.replay(changed, **BOTH)
-            assert not (folder / "mark").exists()
-
-
-def test_an_embedded_archive_that_leads_out_is_refused(folder):
-    """With a hash that fits: whoever writes a log chooses that too."""
-    log = run(folder, embed=True)
-    archive = io.BytesIO()
-    with zipfile.ZipFile(archive, "w") as target, zipfile.ZipFile(folder / "lag.fmu") as source:
-        for member in source.namelist():
-            target.writestr(member, source.read(member))
+    archive = io.BytesIO(other)
+    with zipfile.ZipFile(archive, "a") as target:
         target.writestr("../../outside", "x")
     evil = archive.getvalue()
-    own = component_record(log, "plant").sha256
-    sha256 = hashlib.sha256(evil).hexdigest()
-
-    def lie(items):
-        items["metadata"] = items["metadata"].replace(own, sha256)
-
-    def change(content):
-        replace_fmu(content, f"{sha256}.fmu", evil)
-        change_metadata("cosim.component.plant", lie)(content)
-
-    with pytest.raises(UsageError, match="the archive has an entry that leads out of it"):
-        cosim.replay(forged(log, folder / "b.mcap", change), **BOTH)
+    sha256 = component_record(log, "plant").sha256
+    wrong = "SHA-256|sha256"
+    cases = [
+        (replace_fmu(other), f"the FMU of 'plant': the FMU in .*: expected the SHA-256 {sha256}"),
+        (replace_fmu(evil, hashlib.sha256(evil).hexdigest()), "has an entry that leads out of it"),
+        *((say_sha256(text), wrong) for text in ("../../evil", "0" * 63, "G" * 64, 3, None)),
+    ]
+    for number, (change, message) in enumerate(cases):
+        with subtests.test(number=number), pytest.raises(CosimError, match=message):
+            cosim.replay(forged(log, folder / "b.mcap", change), **BOTH)
+    log = run(folder)
+    (folder / "lag.fmu").write_bytes(other)
+    with pytest.raises(FmuError, match=rf"of 'plant': lag\.fmu: .*{sha256} .*; it is not run"):
+        cosim.replay(log, **BOTH)
     assert not (folder / "mark").exists()
     assert not list(folder.parent.rglob("outside"))
 
@@ -245,15 +228,14 @@ def test_a_plant_that_was_swapped_in_before_the_run_runs_again(folder):
 
 def test_an_fmu_that_is_too_large_is_refused_before_the_run(folder, monkeypatch, call):
     """By its size; the limit is what can be read back, less the head of an attachment's record."""
-    assert MOST_ATTACHED - 4096 == embedding.MOST_EMBEDDED
+    assert MOST_ATTACHED - 4096 == log_contents.MOST_EMBEDDED
     size = (folder / "lag.fmu").stat().st_size
-    monkeypatch.setattr(embedding, "MOST_EMBEDDED", size)
+    monkeypatch.setattr(log_contents, "MOST_EMBEDDED", size)
     assert run(folder, embed=True).status == "complete"
-    monkeypatch.setattr(embedding, "MOST_EMBEDDED", size - 1)
+    monkeypatch.setattr(log_contents, "MOST_EMBEDDED", size - 1)
     code, _, err = call("run", "fmu.toml", "--embed", "--out", "b.mcap")
     assert code == 2
-    for text in (f"lag.fmu: has {size} bytes", f"at most {size - 1}; omit --embed"):
-        assert text in err
+    assert re.search(rf"lag\.fmu .* more than {size - 1} bytes; omit --embed", err)
     assert not (folder / "b.mcap").exists()
 
 
@@ -274,7 +256,7 @@ def test_a_run_of_another_plant_is_found_under_the_scenario_of_this_one(tmp_path
                 items.update({key: said[name][key] for key in items if key != "cosim.design"})
 
     log = forged(other, tmp_path / "forged.mcap", say)
-    anew = replays_of(log, rerun=True).designs()
+    anew = replays_of(log, ReplayRequest(rerun=True)).designs()
     verification = verify(log, cosim.replay(log, rerun=True), anew)
     assert verification.difference.equal
     found, *_ = verification.contradictions
@@ -332,3 +314,51 @@ def test_the_scenario_of_another_run_with_the_same_components_is_found(tmp_path)
     content.messages = [m for m in content.messages if m[1] != 20_000_000]
     with pytest.raises(CosimError):
         cosim.replay(put_together(content, tmp_path / "c.mcap"))
+
+
+# --- designs ---
+
+
+@pytest.fixture(scope="module")
+def designed(tmp_path_factory):
+    """Record a run of an observer and an identifier, with a linear part beside them."""
+    changes = {
+        "scenario.stop": 0.05,
+        "components.lag": {"kind": "lag", "time_constant": 0.1},
+        "connections.lag.u": "u.y",
+    }
+    return cosim.run("academic", out=tmp_path_factory.mktemp("log") / "a.mcap", set=changes)
+
+
+def test_no_design_that_is_recorded_is_computed(designed, monkeypatch):
+    """It would cost what a replay saves, and fail where that fails."""
+
+    def no_discretization(*arguments):
+        raise AssertionError("was called")
+
+    monkeypatch.setattr(linear, "first_order_hold", no_discretization)
+    assert cosim.diff(designed, cosim.replay(designed)).equal
+
+
+DESIGN_CHANGES = {
+    "renamed": lambda design, key: {
+        "other" if name == key else name: design[name] for name in design
+    },
+    "reshaped": lambda design, key: {**design, key: np.append(design[key], 1.0)},
+    "added": lambda design, key: {**design, "more": design[key]},
+}
+
+
+@pytest.mark.parametrize("change", DESIGN_CHANGES.values(), ids=DESIGN_CHANGES)
+@pytest.mark.parametrize(
+    ("name", "key"), [("lag", "Ad"), ("observer", "B1"), ("identifier", "times")]
+)
+def test_a_recorded_design_of_other_arrays_is_refused(designed, name, key, change, tmp_path):
+    """The kernels that step trust their shapes."""
+
+    def forge(items):
+        items["cosim.design"] = encode_design(change(decode_design(items["cosim.design"]), key))
+
+    log = forged(designed, tmp_path / "a.mcap", change_metadata(f"cosim.component.{name}", forge))
+    with pytest.raises(LogError, match=f"'{name}': the recorded design: expected arrays of shapes"):
+        cosim.replay(log)

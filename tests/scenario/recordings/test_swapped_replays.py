@@ -78,8 +78,8 @@ def test_ports_have_the_names_of_a_map(folder):
 def test_a_swap_that_the_recording_cannot_follow_is_refused(folder):
     """The plant's rows belong to the source that it had."""
     message = (
-        r"swap\['u'\]: this changes 'u', which drives 'plant'; 'plant' is taken from the recording "
-        "and cannot follow: run the scenario"
+        r"swap\['u'\]: this changes 'u', on which 'plant' depends; 'plant' is taken from the "
+        "recording and cannot follow: run the scenario"
     )
     with pytest.raises(UsageError, match=message):
         cosim.replay(folder / "f.mcap", swap={"u": folder / "f.mcap"})
@@ -90,20 +90,18 @@ def test_a_swap_that_the_recording_cannot_follow_is_refused(folder):
 INVALID = [
     (({"filtr": "filter.fmu"}, {}), "component 'filtr'; did you mean"),
     (({"filter": "none.fmu"}, {}), r"none\.fmu: there is no such file"),
-    (({"filter": "f.toml"}, {}), r"swap\['filter'\]: expected a path .* \.fmu"),
     (({}, {"filter.u": "force"}), "expected swap with map"),
     (({"filter": 3}, {}), r"swap\['filter'\]: path: expected a path, got 3"),
     (
         ({"filter": "lag2.fmu"}, {"filter.y": "x", "filter.u": "x"}),
         r"map\['filter\.u'\]: .*expected an input of 'filter', got an output",
     ),
-    (({"filter": "lag2.fmu"}, {"filter.y": ""}), "the name of a port"),
     (({"filter": "lag2.fmu"}, {"filter.z": "x"}), r"unknown port|'filter\.z'"),
 ]
 
 
 def test_an_invalid_swap_is_refused(folder, tmp_path):
-    """Unknown components and ports, no such file, a map alone, to two, to nothing: not written."""
+    """Unknown components and ports, no such file, a map alone, to two: not written."""
 
     def replay(case):
         swap, names = case

@@ -14,7 +14,10 @@ import sys
 import pytest
 
 import cosim
-from cosim.scenario.document.document import shipped
+from cosim.native.numerics.runge_kutta import EXPLICIT
+from cosim.report.inspection import describe_log
+from cosim.scenario.document.document import find, shipped
+from cosim.scenario.exporting import export_component
 from cosim.scenario.kinds.variants import METHODS
 from tests.scenario.online import COARSE, ONLINE, noisy
 
@@ -31,27 +34,19 @@ lag = { kind = "lag", time_constant = 0.07, unit = "rad" }
 error = { kind = "sum", signs = [1, -0.7] }
 loop = { kind = "lag", time_constant = 0.3 }
 filtered = { kind = "lag", time_constant = 0.011, size = 20 }
+table = { kind = "table", t = [0.0, 0.3, 1.1, 2.0], y = [0.1, -0.3, 1.9, 0.7] }
 
-[components.functions]
-kind = "expression"
-y = [
+functions = { kind = "expression", y = [
   "sin(30*t + 1)", "cos(17*t)", "tan(3*t + 0.2)", "asin(0.9*sin(7*t))", "acos(0.9*cos(5*t))",
   "atan(9*t - 3)", "sinh(t - 1)", "cosh(2*t)", "tanh(t - 1)", "exp(-1.7*t)", "log(0.1 + t)",
   "(0.3 + t)**2.7", "sqrt(t)", "abs(t - 1)",
   "min(t, 1/3) + max(t, pi)",
-]
+] }
 
-[components.table]
-kind = "table"
-t = [0.0, 0.3, 1.1, 2.0]
-y = [[0.1, 0.2], [0.7, -0.3], [0.1, 1.9], [1.3, 0.7]]
-
-[components.disturbance]
-kind = "disturbance"
-terms = [
+disturbance = { kind = "disturbance", terms = [
   { alpha = "1.35 + 0.25*sin(1.7*t)", family = "exponential", theta = -0.1, amplitude = 1.3 },
   { alpha = "1.1 + 0.2*cos(2.3*t)", family = "sine", theta = 2.3, phase = 0.4 },
-]
+] }
 
 [components.sensor]
 kind = "sensor"
@@ -110,9 +105,15 @@ BY_METHOD = {
     for method in METHODS
     if method not in ("output-error", "least-squares")  # they are in "short"
 }
+# of an FMU of model exchange: these methods compute without BLAS, others say what they compute with
+OF_FMU = {"scenario.stop": 2.0, "scenario.step": 0.04, "identifier.period": 0.04}
+BY_SOLVER = {solver: {**OF_FMU, "plant.solver": solver} for solver in EXPLICIT}
+BY_SOLVER["residual"] = {**OF_FMU, "plant.dae": "residual"}
+IMPLICIT = {"Radau": "LAPACK", "BDF": "LAPACK", "LSODA": "ODEPACK", "CVode": "SUNDIALS"}
 STOPS = {
     "short": {**SHORT, "online": COARSE, "newton": NEWTON},
     "methods": BY_METHOD,
+    "solvers": BY_SOLVER,
     "whole": {"online": ONLINE},
 }
 DESIGNED = {"compensation"}  # its gains are LAPACK's: a new run has others, its replay has not
@@ -124,6 +125,15 @@ def numpy_features():
     from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
 
     return " ".join(name for name in __cpu_dispatch__ if __cpu_features__[name])
+
+
+def with_fmu(folder):
+    """Write the example with its plant as an FMU that has both forms; return its path."""
+    export_component("academic", "plant", folder / "plant.fmu", fmi="3", dae=True)
+    text = find("academic").text
+    swap = '[swap]\nplant = "plant.fmu#me"\n\n[connections]'
+    (folder / "fmu.toml").write_text(text.replace("[connections]", swap, 1), encoding="utf-8")
+    return str(folder / "fmu.toml")
 
 
 def child(folder, scenarios, stops, variables):
@@ -145,7 +155,7 @@ def child(folder, scenarios, stops, variables):
     reason="only glibc on x86-64 can be told to leave instructions out",
 )
 @pytest.mark.parametrize(
-    "length", ["short", "methods", pytest.param("whole", marks=pytest.mark.campaign)]
+    "length", ["short", "methods", "solvers", pytest.param("whole", marks=pytest.mark.campaign)]
 )
 def test_runs_and_replays_have_the_same_bits_on_other_processors(length, tmp_path):
     """Replays are equal, and new runs, without FMA and AVX in the C library, numpy and BLAS.
@@ -160,6 +170,8 @@ def test_runs_and_replays_have_the_same_bits_on_other_processors(length, tmp_pat
         scenarios["newton"] = "closed-loop"
     if length == "methods":
         scenarios = dict.fromkeys(BY_METHOD, scenarios["online"])
+    if length == "solvers":
+        scenarios = dict.fromkeys(BY_SOLVER, with_fmu(tmp_path))
     hashes = {}
     for name, scenario in scenarios.items():
         log = cosim.run(scenario, out=tmp_path / f"{name}.mcap", set=STOPS[length].get(name))
@@ -173,3 +185,17 @@ def test_runs_and_replays_have_the_same_bits_on_other_processors(length, tmp_pat
     for name in DESIGNED & found.keys():
         found[name][1] = ""
     assert found == hashes
+    if length == "solvers":
+        assert len({content for _, content in hashes.values()}) == len(BY_SOLVER)
+
+
+@pytest.mark.slow
+def test_a_log_says_what_the_bits_of_a_solver_depend_on(tmp_path):
+    """Of a generated plant and of an FMU; of other solvers nothing, as they depend on nothing."""
+    for scenario in ("academic", with_fmu(tmp_path)):
+        for solver in (*(["exact"] if scenario == "academic" else []), *EXPLICIT, *IMPLICIT):
+            settings = {"scenario.stop": 0.02, "plant.solver": solver}
+            cosim.run(scenario, set=settings, out=tmp_path / "a.mcap", force=True)
+            bits = describe_log(str(tmp_path / "a.mcap"))["metadata"]["plant"].get("bits", "")
+            said = f"solver {solver} computes with {IMPLICIT.get(solver)}: "
+            assert bits.startswith(said) if solver in IMPLICIT else bits == ""

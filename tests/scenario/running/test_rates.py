@@ -38,6 +38,8 @@ def held(*runs):
 #
 # Rate 2 behind u = t: samples 0, 2, 4, 6, 8, 10 at these times, so 0, 2, 6, 12, 20, 30 at 2 to 12.
 TWO = held((0, 4), (2, 2), (6, 2), (12, 2), (20, 2), (30, 1))
+# Rate 1, that of the steps: samples 0 to 11, so 0, 0, 1, 3, ... at 0 to 12.
+ONE = [k * (k - 1) // 2 for k in range(13)]
 # Rate 3: samples 0, 3, 6, 9, so 0, 3, 9, 18 at 3, 6, 9, 12.
 THREE = held((0, 6), (3, 3), (9, 3), (18, 1))
 # Rate 3 behind rate 2: samples at 0, 3, 6, 9 are 0, 0, 6, 12: 6 at 9, 18 at 12.
@@ -64,13 +66,14 @@ def at_all_points(log, name):
 @pytest.mark.parametrize(
     ("rates", "offsets", "stop", "expected"),
     [
+        ((1,), None, 12, [ONE]),
         ((2, 3), None, 12, [TWO, THREE_BEHIND_TWO]),
         ((3, 2), None, 12, [THREE, TWO_BEHIND_THREE]),
         ((2, 3, 4), None, 24, [None, None, FOUR]),
         ((2, 3), (1, 2), 12, [TWO_FROM_ONE, THREE_FROM_TWO]),
         ((2, 3), (0, 0), 12, [TWO, THREE_BEHIND_TWO]),
     ],
-    ids=["2, 3", "3, 2", "2, 3, 4", "2, 3 with offsets", "no offsets"],
+    ids=["1", "2, 3", "3, 2", "2, 3, 4", "2, 3 with offsets", "no offsets"],
 )
 def test_chain_follows_the_table(rates, offsets, stop, expected, subtests):
     for block in [1, 5, None]:
@@ -126,8 +129,9 @@ def test_inputs_of_a_period_are_held_or_interpolated():
 
 
 NO_RATES = [
+    ({"period": 0.0}, "period: expected at least 1 communication"),
+    ({"period": -0.01}, "period: expected at least 1 communication"),
     ({"period": 0.1, "offset": 0.1}, "components.c: offset: .* >= 0 s and below"),
-    ({"period": 0.1, "offset": 0.3}, "below the period, 0.1 s, got 0.3 s"),
     ({"period": 0.1, "offset": -0.01}, ">= 0 s and below the period, 0.1 s, got -0.01 s"),
     ({"period": 0.1, "offset": 0.005}, "offset: 0.005 s is not a whole number of 0.01 s steps"),
     ({"offset": 0.01}, "offset: expected together with period, got 0.01 s"),

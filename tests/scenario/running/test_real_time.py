@@ -1,18 +1,15 @@
 """Runs at the pace of the wall clock: when they wait, how late they say they were, their rows."""
 
-from pathlib import Path
-
 import pytest
 
 import cosim
 from cosim.core.clock import Clock
 from cosim.core.recorders import Memory
 from cosim.report.summary import summarize
+from cosim.scenario.document.document import find
 from cosim.scenario.running import real_time
 from cosim.scenario.running.real_time import RealTimePace, block_steps
 from tests.scenario.refusals import check_refused
-
-LIBRARY = Path(cosim.__file__).parent / "scenario" / "library"
 
 
 class WallClock:
@@ -95,7 +92,7 @@ def test_the_rows_are_those_of_any_other_run(actions, monkeypatch, tmp_path):
 
     monkeypatch.setattr(real_time, "RealTimePace", Pace)
     path = tmp_path / "closed.toml"
-    path.write_text(LIBRARY.joinpath("closed-loop.toml").read_text() + actions)
+    path.write_text(find("closed-loop").text + actions)
     scenario = cosim.load(path).set({"scenario.stop": 0.2})
     usual = cosim.run(scenario)
     at_pace = cosim.run(scenario, realtime=1.0)

@@ -111,14 +111,9 @@ def test_a_recorded_component_needs_rows_where_the_run_has_points(logs):
 
 UNFIT = [
     ({"start_time": -1.0}, r"scenario\.start_time'?\]?: .*>= 0 s, got -1\.0 s"),
-    (
-        {"start_time": 1.5e-9},
-        r"scenario\.start_time'?\]?: 1\.5e-09 s is not a whole number of",
-    ),
-    ({"start_time": 40.0}, r"scenario\.stop'?\]?: .* start_time = 40\.0 s, got 20\.0 s"),
+    ({"start_time": 1.5e-9}, r"scenario\.start_time'?\]?: 1\.5e-09 s is not a whole number of"),
     ({"start_time": 20.0}, r"scenario\.stop'?\]?: .* start_time = 20\.0 s, got 20\.0 s"),
     ({"start_time": 0.0005}, r"stop: 20\.0 s is not .* nearest: (20\.0005|19\.9995) s"),
-    ({"start_time": "soon"}, r"start_time'?\]?: .*number"),
 ]
 
 
@@ -131,12 +126,8 @@ def test_a_start_that_does_not_fit_is_refused():
     check_refused(UNFIT, run, ScenarioError)
 
 
-def test_an_identifier_cannot_begin_before_its_regressor_has_a_value(logs):
+def test_an_identifier_cannot_begin_before_its_regressor_has_a_value():
     """The longest delay counts from the start of the run, and a given time is absolute."""
-    for start, allowed in ((16.3, True), (16.2995, False)):
-        changes = shifted(START, **{"identifier.start": start})
-        if allowed:
-            cosim.run("closed-loop", set=changes)
-        else:
-            with pytest.raises(CosimError, match=r"longest delay, 0\.3 s after start_time, 16\.0"):
-                cosim.run("closed-loop", set=changes)
+    cosim.run("closed-loop", set=shifted(START, **{"identifier.start": 16.3}))
+    with pytest.raises(CosimError, match=r"longest delay, 0\.3 s after start_time, 16\.0"):
+        cosim.run("closed-loop", set=shifted(START, **{"identifier.start": 16.2995}))

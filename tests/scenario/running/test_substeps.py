@@ -35,17 +35,22 @@ two = { kind = "controller", A = [[-1.0]], B = [[10.0]], C = [[-31.0]], D = [[-0
 """
 
 
-@pytest.fixture
-def pair(tmp_path):
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory):
     """Write the scenario."""
-    path = tmp_path / "pair.toml"
+    path = tmp_path_factory.mktemp("pair") / "pair.toml"
     path.write_text(PAIR)
     return path
 
 
-def test_a_run_with_substeps_is_replayed_bit_for_bit(pair, tmp_path):
+@pytest.fixture(scope="module")
+def log(pair):
+    """Return the log of its run."""
+    return cosim.run(pair, out=pair.with_name("x.mcap"))
+
+
+def test_a_run_with_substeps_is_replayed_bit_for_bit(log, tmp_path):
     """With the same substeps, all computed again."""
-    log = cosim.run(pair, out=tmp_path / "x.mcap")
     again = cosim.replay(log, out=tmp_path / "y.mcap")
     verification = verify(log, again)
     assert verification.passed, verification.problems
@@ -90,9 +95,8 @@ def with_changed_substep(log, path, number):
     return Log(path)
 
 
-def test_a_changed_value_of_a_substep_is_found(pair, tmp_path):
+def test_a_changed_value_of_a_substep_is_found(log, tmp_path):
     """Also one that nothing follows from: the rows of the replay are those of the log."""
-    log = cosim.run(pair, out=tmp_path / "x.mcap")
     for number in range(len(log.substeps()[-1].values)):
         changed = with_changed_substep(log, tmp_path / f"{number}.mcap", number)
         problems = verify(changed, cosim.replay(changed)).problems
@@ -101,9 +105,8 @@ def test_a_changed_value_of_a_substep_is_found(pair, tmp_path):
         assert f".values.{number}: " in problems[0]
 
 
-def test_reports_count_substeps(pair, tmp_path):
+def test_reports_count_substeps(log):
     """As many as were recorded."""
-    log = cosim.run(pair, out=tmp_path / "x.mcap")
     (counts,) = summarize(log).substeps
     accepted = [substep for substep in log.substeps() if substep.accepted]
     assert (counts.components, counts.accepted) == (("one", "two"), len(accepted))
@@ -155,7 +158,6 @@ WRONG = [
     ({"min": 0.02}, r"\A.*min: expected at most 0.005 s, .*got 0.02 s\Z"),
     ({"min": 1e-10}, r"\A.*1e-10 s is not a whole number of nanoseconds.*\Z"),
     ({"min": 0.0}, r"\A.*scenario\.substeps\.min'\]: expected a number > 0, got 0\.0\Z"),
-    ({"min": -1.0}, r"\A.*scenario\.substeps\.min'\]: expected a number > 0, got -1\.0\Z"),
     ({"rtol": -1.0}, r"\A.*scenario.substeps.rtol'\]: expected a number >= 0, got -1.0\Z"),
     ({"atol": "small"}, r"\A.*scenario.substeps.atol'\]: .*small.*\Z"),
     ({"max": 1.0}, r"\A.*scenario.substeps.max.*\Z"),

@@ -29,18 +29,9 @@ def packed(path: Path) -> Path:
 
 
 def _export(path, outputs, feedthrough, rows):
-    interface = Interface(
-        (Signal("push", role="input"), Signal("force", role="input")), outputs, feedthrough
-    )
-    columns = [1, 0]
-    model = LinearModel(
-        interface,
-        ("s[0]", "s[1]"),
-        A,
-        B[:, columns],
-        C[rows],
-        D[rows][:, columns],
-        START,
-        np.zeros((2, 2)),
-    )
+    inputs = (Signal("push", role="input"), Signal("force", role="input"))
+    interface = Interface(inputs, outputs, feedthrough)
+    B_turned, D_turned = B[:, [1, 0]], D[rows][:, [1, 0]]
+    zero = np.zeros((2, 2))
+    model = LinearModel(interface, ("s[0]", "s[1]"), A, B_turned, C[rows], D_turned, START, zero)
     return export(model, path, name=path.stem).path

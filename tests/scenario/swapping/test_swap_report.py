@@ -1,33 +1,33 @@
-"""Before a run: how a swapped component compares with the one that it replaces.
-
-The report has what stops the run, too, and which ports may have been meant.
-"""
+"""Before a run: how a swapped component compares with the one that it replaces."""
 
 import ast
 import json
-import textwrap
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 import cosim
+from cosim.core.signals import Interface, Signal
 from cosim.errors import RunError, ScenarioError
 from cosim.fmi.binary.loaded import LoadedInstance
+from cosim.scenario.building.build import parse
+from cosim.scenario.document.document import Document
 from cosim.scenario.exporting import export_component
+from cosim.scenario.kinds.values import LinearSystem
+from cosim.scenario.recordings.port_comparison import (
+    CAPABILITIES,
+    INITIAL,
+    NOMINAL,
+    START,
+    compare,
+    describe,
+    rate_between,
+    responses_at,
+)
 from cosim.scenario.recordings.swap_comparison import compare_swaps
-from tests.scenario.swapping.renamed import packed, renamed
 
 SHORT = {"scenario.stop": 0.1}
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """Write the plant as it is, with other names, with a vector of outputs, and as a log."""
-    folder = tmp_path_factory.mktemp("plants")
-    export_component("academic", "plant", folder / "plant.fmu")
-    renamed(folder / "other.fmu")
-    packed(folder / "packed.fmu")
-    cosim.run("academic", set=SHORT, out=folder / "log.mcap")
-    return folder
 
 
 def report(folder, name, maps=None, **changes):
@@ -58,69 +58,79 @@ def test_an_exported_plant_differs_in_nothing(folder):
     assert rows["y", "static gain"] == pytest.approx({"u -> y": -4 / 3, "delta -> y": 2 / 3})
 
 
-TWO_INPUTS = """
-    scenario = { name = "two-inputs", stop = 2.0, step = 0.01 }
-    [models.two]
-    A = [[0.0, 1.0], [-4.0, -2.0]]
-    B = [[0.0, 0.0], [1.0, 0.5]]
-    C = [[1.0, 0.0], [0.0, 1.0]]
-    disturbances = [1]
-    [components]
-    plant = { kind = "descriptor", model = "two", x0 = [0.0, 0.0] }
-    u = { kind = "constant", value = 1.0 }
-    delta = { kind = "sine", amplitude = 1.0, rate = 3.0 }
-    sum = { kind = "gain", K = [[1.0, 1.0]] }
-    [connections]
-    "sum.u" = "plant.y"
-    "plant.u" = "u.y"
-    "plant.delta" = "delta.y"
-    """
+SMALL = """
+[scenario]
+name = "small"
+stop = 0.1
+step = 0.01
+[components]
+s = { kind = "constant", value = 1.0 }
+plant = { kind = "lag", time_constant = 0.5 }
+[connections]
+"plant.u" = "s.y"
+"""
+
+
+def test_an_input_that_nothing_drives_stops_the_run(folder):
+    """Also where it is one of the new component alone."""
+    scenario = parse(Document(SMALL, "small.toml", Path()))
+    found = compare_swaps(scenario.edit(swap={"plant": folder / "log.mcap"}))
+    assert verdicts(found, "error") == {("delta", "causality"): "error"}
+    assert "'plant.delta' is not connected" in found.problems[0]
+
+
+def test_poles_near_zero_are_compared_as_such():
+    """Slow modes of other rates are no rounding of each other."""
+    rows = []
+    for rate in (1e-9, 5e-10):
+        one = np.ones((1, 1))
+        system = LinearSystem(-rate * one, one, one, 0.0 * one, 0.0)
+        rows.append(
+            describe(Interface((Signal("u"),), (Signal("y"),)), {"kind": "x"}, system=system)
+        )
+    (row,) = [row for row in compare(*rows) if row.aspect == "poles"]
+    assert row.verdict == "differs"
+
+
+TWO_OUTPUTS = {
+    "models.academic.C": [[2, 0, 1], [0, 1, 0]],
+    "components.observer.L": [[4.0, 0.0], [0.0, 4.0]],
+}
+# D - C A^-1 B of x1 - u and x2
+GAINS = {("u", 0): -4 / 3, ("delta", 0): 2 / 3, ("u", 1): 2 / 3, ("delta", 1): -1 / 3}
+INPUTS = {"u": "delta", "delta": "u"}
 
 
 @pytest.fixture(scope="module")
-def two_inputs(tmp_path_factory):
-    """Write a plant of two inputs and two outputs, and its FMU; return the scenario."""
-    folder = tmp_path_factory.mktemp("two")
-    path = folder / "two.toml"
-    path.write_text(textwrap.dedent(TWO_INPUTS))
-    export_component(str(path), "plant", folder / "two.fmu")
-    return path
+def two_outputs(tmp_path_factory):
+    """Return the example with two outputs, and the FMU of its plant."""
+    scenario = cosim.load("academic").set({**TWO_OUTPUTS, **SHORT})
+    path = tmp_path_factory.mktemp("two") / "two.fmu"
+    export_component(scenario, "plant", path)
+    return scenario, path
 
 
 @pytest.mark.parametrize(
-    ("maps", "differences"),
+    ("maps", "exchanged", "ports"),
     [
-        ({}, {}),
-        (
-            {"plant.u": "delta", "plant.delta": "u"},
-            {"y": {"u -> y[0]": (0.25, 0.125), "delta -> y[0]": (0.125, 0.25)}},
-        ),
-        (
-            {"plant.y": "[y[1],y[0]]"},
-            {
-                "y": {
-                    "u -> y[0]": (0.25, 0.0),
-                    "delta -> y[0]": (0.125, 0.0),
-                    "u -> y[1]": (0.0, 0.25),
-                    "delta -> y[1]": (0.0, 0.125),
-                }
-            },
-        ),
+        ({}, None, set()),
+        ({"plant.u": "delta", "plant.delta": "u"}, lambda u, y: (INPUTS[u], y), {"x_a", "y"}),
+        ({"plant.y": "[y[1],y[0]]"}, lambda u, y: (u, 1 - y), {"y"}),
     ],
     ids=["as they are", "inputs exchanged", "outputs exchanged"],
 )
-def test_exchanged_ports_differ_element_by_element(two_inputs, maps, differences):
+def test_exchanged_ports_differ_element_by_element(two_outputs, maps, exchanged, ports):
     """Their sizes, types and sorted gains are those of the ports that they stand in for."""
-    scenario = cosim.load(two_inputs).edit(swap={"plant": two_inputs.with_suffix(".fmu")}, map=maps)
-    (found,) = compare_swaps(scenario).reports.values()
-    rows = {(row.port, row.aspect): row for row in found.rows}
-    for port, entries in differences.items():
-        row = rows[port, "static gain"]
-        assert row.verdict == "differs"
-        assert row.before == pytest.approx({name: old for name, (old, _) in entries.items()})
-        assert row.after == pytest.approx({name: new for name, (_, new) in entries.items()})
+    scenario, fmu = two_outputs
+    (found,) = compare_swaps(scenario.edit(swap={"plant": fmu}, map=maps)).reports.values()
     wrong = {row.port for row in found.rows if row.connected and row.verdict == "differs"}
-    assert wrong == set(differences)
+    assert wrong == ports
+    if exchanged:
+        (row,) = [row for row in found.rows if (row.port, row.aspect) == ("y", "static gain")]
+        names = {f"{u} -> y[{y}]": (u, y) for u, y in GAINS}
+        assert row.before == pytest.approx({name: GAINS[names[name]] for name in names})
+        after = {name: GAINS[exchanged(*names[name])] for name in names}
+        assert row.after == pytest.approx(after)
 
 
 def test_another_interface_type_and_start_are_listed_and_warned_of(folder, tmp_path):
@@ -205,27 +215,9 @@ def test_units_that_convert_leave_no_warning_but_that_of_the_unit(milli):
     assert worst <= 1e3 * 8 * 2.3e-16 * abs(metres["plant.y"]).max()
 
 
-PAIR = """
-scenario = { name = "pair", stop = 0.1, step = 0.01 }
-[components]
-source = { kind = "sine", rate = 2.0, unit = "N" }
-part = { kind = "transfer-function", numerator = [NUMBER], denominator = [0.5, 1.0], unit = UNITS }
-after = { kind = "lag", time_constant = 0.3, unit = "m" }
-[connections]
-"part.u" = "source.y"
-"after.u" = "part.y"
-"""
-
-
-def pair(folder, number, units):
-    path = folder / f"{number}.toml"
-    path.write_text(PAIR.replace("NUMBER", number).replace("UNITS", units))
-    return path
-
-
 @pytest.mark.usefixtures("without_verdicts")
 def test_an_fmu_that_cannot_be_reset_is_loaded_again(folder, monkeypatch):
-    """Else one instance is compared, linearized and run; then the run has one of its own."""
+    """The run begins with what was loaded for it, and has the same bits."""
     swap = {"plant": folder / "plant.fmu"}
     reference = cosim.run("academic", swap=swap, set=SHORT)
 
@@ -234,3 +226,163 @@ def test_an_fmu_that_cannot_be_reset_is_loaded_again(folder, monkeypatch):
 
     monkeypatch.setattr(LoadedInstance, "reset", refuse)
     assert cosim.diff(reference, cosim.run("academic", swap=swap, set=SHORT)).equal
+
+
+# --- two components side by side ---
+
+ABLE = {"kind": "model exchange", **dict.fromkeys(CAPABILITIES, True)}
+BEFORE = Interface(
+    (Signal("u", unit="N"), Signal("delta")),
+    (
+        Signal("y", unit="Hz"),
+        Signal("x_a", 2),
+        Signal("x_b"),
+        Signal("s", unit="m"),
+        Signal("n", type="integer"),
+    ),
+    {"y": ("u",)},
+)
+AFTER = Interface(
+    (Signal("u", unit="kg.m/s2", variability="discrete"), Signal("x_b"), Signal("k")),
+    (Signal("y", unit="1/s"), Signal("x_a", 3), Signal("s", unit="mm"), Signal("n", unit="V")),
+    {"y": None},
+)
+
+
+def compared(before, after, **options):
+    """Compare by name; return the verdicts by (port, aspect)."""
+    rows = compare(before, after, **options)
+    return {(row.port, row.aspect): row.verdict for row in rows}
+
+
+def test_every_aspect_has_a_verdict():
+    """The verdict is an error only where a connection is refused.
+
+    Units that convert differ, units of one meaning do not.
+    """
+    before = describe(
+        BEFORE, ABLE, {START: {"u": np.array([1.0])}, INITIAL: {"s": np.array([2.0])}}
+    )
+    able = {**ABLE, "kind": "co-simulation", "rollback": False, "variable step": None}
+    after = describe(AFTER, able, {START: {"u": np.array([2.0])}, INITIAL: {"s": np.array([2e3])}})
+    found = compared(before, after, refused={"delta", "x_a"})
+    assert {key: verdict for key, verdict in found.items() if verdict != "ok"} == {
+        ("u", "variability"): "differs",
+        ("u", "start value"): "differs",
+        ("delta", "causality"): "error",
+        ("y", "feedthrough"): "differs",
+        ("x_a", "size"): "error",
+        ("x_b", "causality"): "differs",
+        ("s", "unit"): "differs",
+        ("n", "type"): "differs",
+        ("n", "unit"): "unknown",
+        ("k", "causality"): "differs",
+        ("", "interface type"): "differs",
+        ("", "rollback"): "differs",
+        ("", "variable step"): "unknown",
+    }
+    assert set(compared(before, before).values()) <= {"ok"}
+
+
+def alone(aspect, unit, values):
+    """Return a component of one port: an input where it has start values, else an output."""
+    nominal = tuple(values) if aspect == NOMINAL else ()
+    signal = Signal("p", len(values), unit=unit, nominal=nominal)
+    interface = Interface((signal,)) if aspect == START else Interface((), (signal,))
+    return describe(interface, ABLE, {} if nominal else {aspect: {"p": np.array(values)}})
+
+
+@pytest.mark.parametrize(
+    ("aspect", "before", "after", "verdict"),
+    [
+        # 2 m are 2000 mm; 2 mm are not 2 m
+        (INITIAL, ("m", [2.0]), ("mm", [2e3]), "ok"),
+        (INITIAL, ("m", [2.0]), ("mm", [2.0]), "differs"),
+        # each element in its unit
+        (INITIAL, (("m", "s"), [2.0, 1.0]), (("mm", "s"), [2e3, 1.0]), "ok"),
+        (INITIAL, (("m", "s"), [2.0, 1.0]), (("m", "ms"), [2.0, 1.0]), "differs"),
+        # capacitances in F are no rounding; what that leaves of 0 is no difference
+        (START, ("F", [1e-10]), ("F", [5e-10]), "differs"),
+        (START, ("F", [1e-10]), ("F", [1e-10 * (1 + 1e-12)]), "ok"),
+        (START, ("F", [0.0]), ("F", [1e-17]), "ok"),
+        # a factor of ten is the limit of sizes
+        (NOMINAL, ("m", [2.0]), ("mm", [2e4]), "ok"),
+        (NOMINAL, ("m", [2.0]), ("mm", [2.1e4]), "differs"),
+        (NOMINAL, ("m", [2.0]), ("mm", [1.9e2]), "differs"),
+    ],
+)
+def test_numbers_are_compared_in_one_unit(aspect, before, after, verdict):
+    """In that of the component before."""
+    assert compared(alone(aspect, *before), alone(aspect, *after))["p", aspect] == verdict
+
+
+@pytest.mark.parametrize(
+    ("units", "verdict"),
+    [(("m", "s"), "ok"), (("mm", "s"), "differs"), (("m", "V"), "error"), (None, "unknown")],
+)
+def test_the_worst_unit_of_an_element_is_that_of_the_port(units, verdict):
+    """An element of another kind cannot be connected."""
+    before, after = alone(INITIAL, ("m", "s"), [2.0, 1.0]), alone(INITIAL, units, [2.0, 1.0])
+    assert compared(before, after, refused={"p"})["p", "unit"] == verdict
+
+
+def test_what_neither_component_says_is_no_agreement():
+    """There is no row of that; where one of both says it, it is unknown."""
+    silent = describe(Interface((Signal("u"),), (Signal("y"),), {"y": None}), {"kind": "lag"})
+    telling = describe(
+        Interface((Signal("u"),), (Signal("y", unit="m", nominal=(2.0,)),)),
+        {"kind": "lag", "rollback": True},
+        {START: {"u": np.zeros(1)}, INITIAL: {"y": np.zeros(1)}},
+        first_order(-1.0, gain=1.0),
+    )
+    found = compared(silent, telling)
+    unknown = {key for key, verdict in found.items() if verdict == "unknown"}
+    assert unknown >= {("y", "unit"), ("y", NOMINAL), ("u", START), ("", "rollback"), ("", "poles")}
+    assert found["y", "feedthrough"] == "differs"  # it decides the order of execution
+    said = compared(silent, silent)
+    assert {*unknown, ("y", "feedthrough")}.isdisjoint(said)
+    assert set(said.values()) == {"ok"}
+
+
+def first_order(a, *, gain, error=0.0):
+    """x' = a x + u, y = gain x."""
+    matrices = [np.array([[value]]) for value in (a, 1.0, gain, 0.0)]
+    return LinearSystem(*matrices, error)
+
+
+def test_responses_and_poles_are_compared_within_their_error():
+    """x' = -2 x + u, y = 4 x: gain 2, pole -2.
+
+    A difference of 1e-7 is seen, of small gains too, unless the numbers are wrong by that.
+    """
+    interface = Interface((Signal("u"),), (Signal("y"),))
+    rate = 2.0 * 2.0**0.5
+
+    def component(system):
+        return describe(interface, ABLE, system=system)
+
+    for gain in (4.0, 4e-12):
+        system = first_order(-2.0, gain=gain)
+        exact = component(system)
+        assert rate_between(system) == pytest.approx(rate)
+        for frequency in (0.0, rate):
+            ((found, _),) = responses_at(frequency, exact, units_of=exact).values()
+            assert found == pytest.approx(gain / (2.0 + 1j * frequency), rel=1e-14)
+        for error, verdict in ((0.0, "differs"), (1e-7, "ok")):
+            close = component(first_order(-2.0 - 1e-7, gain=gain, error=error))
+            found = compared(exact, close)
+            assert found["y", "static gain"] == found["", "poles"] == verdict
+            # at another rate only where static gains tell nothing
+            response = "ok" if verdict == "ok" else None
+            assert found.get(("y", f"response at {rate:.3g} rad/s")) == response
+    # y is no element of a vector y: nothing can be said of its gains
+    two = Interface((Signal("u"),), (Signal("y", 2),))
+    ones = np.ones((2, 1))
+    twice = LinearSystem(-np.eye(1), np.eye(1), ones, 0.0 * ones, 0.0)
+    found = compared(exact, describe(two, ABLE, system=twice))
+    assert ("y", "static gain") not in found
+    assert found["y", "size"] == "differs"
+    system = first_order(0.0, gain=1.0)
+    integrator = component(system)
+    assert responses_at(0.0, integrator, units_of=integrator) is None
+    assert rate_between(system) == 1.0

@@ -2,6 +2,7 @@
 
 import json
 import re
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 
@@ -13,12 +14,15 @@ from cosim.errors import ScenarioError
 from cosim.report.summary import summarize
 from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import find
+from cosim.scenario.recordings.recording import build_experiment
+from cosim.scenario.recordings.swap_comparison import compare_swaps
 from tests.scenario.refusals import check_refused
 from tests.scenario.signals import COARSE
-from tests.scenario.swapping.renamed import MAP, PACKED, packed, renamed
+from tests.scenario.swapping.renamed import MAP, PACKED
 
 pytestmark = pytest.mark.usefixtures("without_verdicts")
 
+SHORT = {**COARSE, "scenario.stop": 0.1}
 BY_HAND = (
     (
         r'kind = "descriptor"\nmodel = "academic"\nx_a0 = \[1.0, -1.0\]\n',
@@ -33,13 +37,8 @@ SHOWN = {"plant.u": "force", "plant.delta": "push", "plant.y": "out1", "plant.x_
 
 
 @pytest.fixture(scope="module")
-def other(tmp_path_factory):
-    return renamed(tmp_path_factory.mktemp("renamed") / "other.fmu")
-
-
-@pytest.fixture(scope="module")
-def vector(tmp_path_factory):
-    return packed(tmp_path_factory.mktemp("packed") / "packed.fmu")
+def other(folder):
+    return folder / "other.fmu"
 
 
 @pytest.fixture(scope="module")
@@ -81,6 +80,10 @@ def test_a_table_of_two_units_takes_the_place_of_a_vector(tmp_path):
         assert swapped.signals["plant.y"].unit == ("m", "m/s")
         assert swapped["control.u"] == pytest.approx(log["control.u"], rel=1e-12)
     assert swapped.signals["plant.y_samples"].unit == ("mm", "mm/s")
+    edited = cosim.load(tmp_path / "a.toml").edit(swap=swap, map=names)
+    with ExitStack() as resources:  # a member of a study, of which the swap is compared once
+        again = build_experiment(edited, resources, reports=compare_swaps(edited))
+        assert again.graph.layout["plant"].by_name["y"].unit == ("m", "m/s")
     (tmp_path / "y.csv").write_text(f"t [s],place [mm],speed\n{rows}\n")
     with pytest.raises(ScenarioError, match=r"'place' has unit 'mm', 'speed' has none"):
         cosim.run(tmp_path / "a.toml", swap=swap, map={"plant.y": ["place", "speed"]})
@@ -119,11 +122,13 @@ def test_a_map_means_what_was_edited_by_hand(other, by_hand):
         assert json.loads(run.metadata["cosim.run"]["truth"])["observer.x_a"] == "plant.x_a"
 
 
-def test_an_element_may_take_a_ports_place(by_hand, vector):
+def test_an_element_may_take_a_ports_place(by_hand, folder):
     """out[2] is y, for the observer and in the truth; the vector is recorded too."""
     text = find("academic").text
     text = text.replace('"observer.delta" = "delta.y"', '"observer.y" = "plant.y"')
-    document = replace(find("academic"), text=text).with_swaps({"plant": str(vector)}, PACKED)
+    document = replace(find("academic"), text=text).with_swaps(
+        {"plant": str(folder / "packed.fmu")}, PACKED
+    )
     run = cosim.run(parse(document.with_changes(COARSE)))
     assert (run["observer.delta"] == by_hand["observer.delta"]).all()
     assert (run["plant.out"][:, 2] == run["plant.y"]).all()
@@ -132,31 +137,24 @@ def test_an_element_may_take_a_ports_place(by_hand, vector):
 
 
 def test_a_mapped_run_replays_bit_for_bit(other, tmp_path):
-    """The map is in the log with the swap."""
+    """The map is in the log with the swap; the FMU's signals come from the log."""
     copy = tmp_path / "copy.fmu"
     copy.write_bytes(other.read_bytes())
-    log = cosim.run("academic", swap={"plant": copy}, map=MAP, set=COARSE, out=tmp_path / "a.mcap")
+    maps = {**MAP, "plant.x_a": ["s[0]", "s[1]"]}
+    log = cosim.run("academic", swap={"plant": copy}, map=maps, set=COARSE, out=tmp_path / "a.mcap")
     copy.unlink()
-    assert json.loads(log.metadata["cosim.run"]["edits"])["maps"] == MAP
+    assert json.loads(log.metadata["cosim.run"]["edits"])["maps"] == maps
     assert cosim.diff(log, cosim.replay(tmp_path / "a.mcap")).equal
+    assert "plant/modelDescription.xml" in log.attachments
+    assert json.loads(log.metadata["cosim.component.plant"]["metadata"])["sha256"]
 
 
-@pytest.mark.parametrize("names", [["s[0]", "s[1]"], ["s[0:2]"], """["s[0]",'s[1]']"""])
-def test_a_vector_may_be_made_of_elements(by_hand, other, tmp_path, names):
-    """A list, or text as on the command line, give the same bits, in a replay too."""
-    maps = {**MAP, "plant.x_a": names}
-    out = tmp_path / "a.mcap"
-    run = cosim.run("academic", swap={"plant": other}, map=maps, set=COARSE, out=out)
-    assert run["plant.x_a"].tolist() == by_hand["plant.s"].tolist()
-    assert cosim.diff(run, cosim.replay(run)).equal
-
-
-def test_scalars_may_make_a_vector_and_an_input_its_elements(vector):
-    """Each element of x_a in its place, turned round; what nothing covers keeps its own name."""
-    names = {**PACKED, "plant.x_a": ["out[2]", "out[0]"]}
-    run = cosim.run("academic", swap={"plant": vector}, map=names, set={"scenario.stop": 0.1})
-    assert (run["plant.x_a"] == run["plant.out"][:, [2, 0]]).all()
-    assert run["plant.s"].shape == (101, 2)
+def test_a_vector_may_be_made_of_elements(by_hand, other):
+    """A list, or text as on the command line, give the same bits."""
+    for names in (["s[0]", "s[1]"], ["s[0:2]"], """["s[0]",'s[1]']"""):
+        maps = {**MAP, "plant.x_a": names}
+        run = cosim.run("academic", swap={"plant": other}, map=maps, set=SHORT)
+        assert run["plant.x_a"].tolist() == by_hand["plant.s"][:11].tolist()
 
 
 def test_a_swap_of_the_file_may_choose_the_interface_type_and_give_way_to_an_option(
@@ -179,9 +177,7 @@ WRONG = [
     ({"regressor.delta": "out1"}, r"map\['regressor\.delta'\]: .*'plant'.*: .*observer\.y"),
     # no such port in the new component, or of another causality
     (MAP | {"observer.y": "out2"}, r"map\['observer\.y'\]: .*no output 'out2'.* 'out1'\?"),
-    (MAP | {"plant.u": "forse"}, r"map\['plant\.u'\]: .*no input 'forse'.* 'force'\?"),
     (MAP | {"observer.y": "force"}, r"observer\.y'\]: .*an input; available: aux, s, out1\n"),
-    (MAP | {"plant.u": "out1"}, r"'plant\.out1': expected an input of 'plant', got an output"),
     # no such elements, or another number of them
     (MAP | {"observer.y": "s[2]"}, r"'plant\.s\[2\]': 'plant\.s' has 2 elements"),
     (MAP | {"observer.y": "s[1:1]"}, r"map\['observer\.y'\]: 'plant\.s\[1:1\]' has no elements"),
@@ -190,10 +186,8 @@ WRONG = [
     (MAP | {"plant.delta": "force"}, r"delta'\]: 'plant\.force' .*'plant\.u' and 'plant\.delta'"),
     (MAP | {"plant.y": "aux"}, r"map\['plant\.y'\]: .* twice, as 'out1' .* and as 'aux'"),
     (MAP | {"plant.x_a[0]": "s[1]"}, r"'plant\.x_a\[0\]' \(as s\[1\]\) overlaps 'plant\.x_a'"),
-    (MAP | {"plant.y[0]": "s[1]"}, r"'plant\.y\[0\]' \(as s\[1\]\) overlaps 'plant\.y'"),
     # not all of a port
     (MAP_OF_Y | {"plant.x_a[1]": "s[1]"}, r"x_a\[1\]'\]: .*has 2 elements; .*: plant\.x_a\[0\], "),
-    (MAP_OF_Y | {"plant.x_a[5]": "s[1]"}, r"map\['plant\.x_a\[5\]'\]: .* has 2 elements"),
     # no name
     (MAP | {"observer.y": ["out1", ""]}, r"map\['observer\.y'\]: expected the name .* none\n"),
     (MAP | {"plant.x_a": "[s[0], s[1]"}, r"map\['plant\.x_a'\]: .* got '\[s\[0\], s\[1\]'"),
@@ -226,14 +220,8 @@ ENTRIES = [
     ('plant = { map = { "plant.u" = "x" } }', r"academic:\d+: swap\.plant: 'path' is missing"),
     ('plant = "x.xyz"', r"academic:\d+: swap\.plant: .* \.fmu"),
     ('plant = "x.fmu#xx"', r"academic:\d+: swap\.plant: .*'#me' .*'#cs' .*, got '#xx'$"),
-    (
-        'plant = { path = "x.fmu", map = { "regressor.z" = "x" } }',
-        r"map\.regressor\.z: .* plant\.u",
-    ),
-    (
-        'plant = { path = "x.fmu", map = { plant.u = 1 } }',
-        r"swap\.plant\.map\.plant\.u: .*, got 1\n",
-    ),
+    ('plant = { path = "x.fmu", map = { "regressor.z" = "x" } }', r"map\.regressor\.z: .*plant\.u"),
+    ('plant = { path = "x.fmu", map = { plant.u = 1 } }', r"swap\.plant\.map\.plant\.u: .*got 1\n"),
     ('plant = { path = "x.fmu", mode = "cs" }', r"swap\.plant\.mode: unknown key 'mode'"),
 ]
 

@@ -1,7 +1,6 @@
-"""A component of a user's class in a scenario: its run, its log, its replay, its errors."""
+"""Components of users' classes, by name or installed: runs, logs, replays, errors."""
 
 import json
-import re
 import shutil
 import sys
 
@@ -9,11 +8,15 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.errors import NonFiniteError, RunError, ScenarioError, UsageError
+from cosim.errors import RunError, ScenarioError, UsageError
 from cosim.log import open_log
 from cosim.report.inspection import describe_log, describe_scenario
 from cosim.report.summary import summarize
+from cosim.report.tables.catalog import show_catalog, show_kind
+from cosim.report.tables.console import print_shown
 from cosim.report.verification import verify
+from cosim.scenario.building.build import parse
+from cosim.scenario.document.document import Document
 from cosim.scenario.kinds import user_code
 from tests.scenario.refusals import check_refused
 from tests.scenario.user_modules import RELAY, THERMOSTAT, one, own_module, write
@@ -232,19 +235,6 @@ def test_a_replay_in_another_folder_says_where_it_looked(folder, monkeypatch):
         cosim.replay("a.mcap", allow_code=True)
 
 
-def test_the_command_replays_with_and_without_the_code(folder, call):
-    """It says what was not computed; other code than that of the log is exit code 2."""
-    call("run", "thermostat.toml", "--out", "a.mcap", "--quiet")
-    code, out, _ = call("replay", "a.mcap", "--verify")
-    assert code == 0
-    assert re.search("not verified.*: relay\\.y; --allow-code", out)
-    code, out, _ = call("replay", "a.mcap", "--verify", "--allow-code")
-    assert (code, "not verified" in out) == (0, False)
-    (folder / "relay.py").write_text(RELAY + "\n")
-    code, _, err = call("replay", "a.mcap", "--verify", "--allow-code")
-    assert (code, "--set relay.class=relay:Relay" in err) == (2, True)
-
-
 # --- what classes do wrong ---
 
 LACKING = """
@@ -262,6 +252,24 @@ WRONG_MODULES = [
     # the string itself is in no file: the line is the one that compiles it
     ("x = 1\neval('int32(float64*)')\n", r"SyntaxError: .*line 1\) \(.*/own\.py, line 2\)$"),
 ]
+
+
+NO_CLASS_NAMES = [
+    ("own", r"one\.toml:12: components\.own\.class: expected 'package\.module:Class', got 'own'$"),
+    ("own.Own", r"got 'own\.Own'; did you mean 'own:Own'\?$"),
+    ("own:", r"expected 'package\.module:Class', got 'own:'"),
+    ("a/own:Own", r"expected 'package\.module:Class', got 'a/own:Own'"),
+]
+
+
+def test_a_name_of_no_class_is_refused_before_anything_is_imported(tmp_path):
+    """At its line."""
+
+    def load(name):
+        document = one(tmp_path).document
+        parse(Document(document.text.replace("own:Own", name), "one.toml", tmp_path))
+
+    check_refused(NO_CLASS_NAMES, load, ScenarioError)
 
 
 def test_a_module_without_a_component_is_named_before_the_run(tmp_path):
@@ -295,34 +303,119 @@ def test_an_exception_names_component_time_and_line(tmp_path, method, body, text
     assert type(cause) in (ValueError, IndexError, ZeroDivisionError)
 
 
-WRONG_STEPS = [
-    ("advance", "return 1.0", r"float\b.*\(1, 1\)"),
-    ("advance", "return np.zeros(3)", r"float64.*\(3,\).*\(1, 1\)"),
-    ("advance", "return np.zeros((4, 2))", r"float64.*\(4, 2\).*\(1, 1\)"),
-    ("advance", "return np.zeros((1, 1), int)", r"int64.*\(1, 1\).*\(1, 1\)"),
-    ("advance", "return None", r"NoneType.*\(1, 1\)"),
-    # neither u nor t can be changed: they are rows of the run, which others read
-    ("initialize", "u[0] = 1.0", r"raised ValueError: .*read-only.* \(.*/own\.py, line 14\); "),
-    ("outputs", "u += 1.0", r"raised ValueError: .*read-only.* \(.*/own\.py, line 18\); "),
-    ("advance", "t[0] = 1.0", r"raised ValueError: .*read-only.* \(.*/own\.py, line 22\); "),
-    ("advance", "u.sort(axis=0)", r"raised ValueError: .*read-only.* \(.*/own\.py, line 22\); "),
-]
+# --- kinds of installed packages, by the entry points ``cosim.components`` ---
+
+SCENARIO = THERMOSTAT.replace('kind = "python"\nclass = "relay:Relay"\n', 'kind = "relay"\n')
 
 
-def test_a_result_of_another_shape_and_a_changed_input_are_named(tmp_path):
-    """Beside what is expected, and the line."""
-
-    def run(method, body):
-        own_module(tmp_path, **{method: body})
-        cosim.run(one(tmp_path), block=1)
-
-    begin = r"^'own' stopped at t = 0\.0 s: "
-    cases = [(method, body, f"{begin}{method} .*{text}") for method, body, text in WRONG_STEPS]
-    check_refused(cases, run, RunError)
+def install(site, name, entries, version="1.0"):
+    """Write the metadata of a distribution with entry points, as an installer does."""
+    about = site / f"{name}-{version}.dist-info"
+    about.mkdir(parents=True)
+    (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+    (about / "entry_points.txt").write_text(f"[cosim.components]\n{entries}\n")
+    (about / "top_level.txt").write_text("relay_parts\n")
+    (about / "RECORD").write_text("")
 
 
-def test_a_value_that_is_not_finite_is_named_at_its_time(tmp_path):
-    own_module(tmp_path, advance="return np.where(t[1:, np.newaxis] > 0.6, np.nan, u[1:])")
-    with pytest.raises(NonFiniteError) as error:
-        cosim.run(one(tmp_path))
-    assert str(error.value) == "'own.y' became nan at t = 0.75 s; everything before is kept"
+@pytest.fixture
+def site(tmp_path, monkeypatch):
+    """Return a folder on sys.path where a package with a relay is installed."""
+    site = tmp_path / "site"
+    site.mkdir()
+    write(site / "relay_parts", __init__="", thermostats=RELAY)
+    install(site, "relay_package", "relay = relay_parts.thermostats:Relay")
+    before = set(sys.modules)
+    monkeypatch.syspath_prepend(site)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "thermostat.toml").write_text(SCENARIO)
+    yield site
+    for name in set(sys.modules) - before:
+        if name.startswith("relay_parts"):
+            del sys.modules[name]
+
+
+def test_an_entry_point_makes_a_kind(site):
+    """The same run as by its class; the log names package and version."""
+    log = cosim.run("thermostat.toml", out="a.mcap")
+    code = json.loads(log.metadata["cosim.component.relay"]["metadata"])["code"]
+    assert code["class"] == "relay_parts.thermostats:Relay"
+    assert set(code["sources"]) == {"relay_parts/thermostats.py"}
+    assert code["distribution"] == "relay_package 1.0"
+    by_class = cosim.run(
+        "thermostat.toml",
+        set={"relay.kind": "python", "relay.class": "relay_parts.thermostats:Relay"},
+    )
+    assert cosim.diff(log, by_class).equal
+
+
+def test_nothing_is_imported_to_list_or_show_it(site, capsys):
+    print_shown(show_catalog(), as_json=True)
+    entry = {"kind": "relay", "class_name": "relay_parts.thermostats:Relay"}
+    entry |= {"distribution": "relay_package 1.0", "refused": None}
+    assert json.loads(capsys.readouterr().out)["installed"] == [entry]
+    print_shown(show_kind("relay"), as_json=False)
+    text = capsys.readouterr().out
+    assert "relay: relay_parts.thermostats:Relay, of relay_package 1.0" in text
+    assert "parameters: those of its constructor; nothing is imported here" in text
+    metadata = describe_scenario("thermostat.toml")["metadata"]
+    assert metadata["relay"]["class"] == "relay_parts.thermostats:Relay"
+    assert not [name for name in sys.modules if name.startswith("relay_parts")]
+
+
+def test_a_log_replays_where_the_package_is_not_installed(site, monkeypatch):
+    """From the recording; with allowed code the package is needed."""
+    cosim.run("thermostat.toml", out="a.mcap")
+    monkeypatch.setattr(sys, "path", [path for path in sys.path if path != str(site)])
+    again = cosim.replay("a.mcap", out="b.mcap")
+    assert verify(open_log("a.mcap"), again).passed
+    assert verify(open_log("b.mcap"), cosim.replay("b.mcap")).passed
+    message = r"thermostat\.toml:9: components\.relay: .*'relay'.*'cosim\.components'"
+    with pytest.raises(ScenarioError, match=message):
+        cosim.replay("a.mcap", allow_code=True)
+
+
+def test_another_version_of_the_package_is_not_the_code_of_the_log(site):
+    """Its other modules may be others, which the hash of the class's module does not tell."""
+    cosim.run("thermostat.toml", out="a.mcap")
+    assert verify(open_log("a.mcap"), cosim.replay("a.mcap", allow_code=True)).passed
+    about = site / "relay_package-1.0.dist-info"
+    for file in list(about.iterdir()):
+        file.unlink()
+    about.rmdir()
+    install(site, "relay_package", "relay = relay_parts.thermostats:Relay", version="1.1")
+    with pytest.raises(ScenarioError, match=r"got relay_package 1\.1; .*relay_package 1\.0"):
+        cosim.replay("a.mcap", allow_code=True)
+
+
+@pytest.mark.parametrize(
+    ("package", "entry", "reason"),
+    [
+        ("gains", "gain = relay_parts.thermostats:Relay", "'gain' is a kind of cosim"),
+        ("nameless", "nobody = relay_parts.thermostats", "expected 'package.module:Class', got"),
+        ("other", "relay = relay_parts.thermostats:Relay", "'relay' is declared more than once"),
+    ],
+)
+def test_an_entry_point_that_makes_no_kind_is_listed_with_the_reason(
+    site, capsys, package, entry, reason
+):
+    """The name of a shipped kind stays with it: what is installed does not change a file."""
+    install(site, package, entry)
+    print_shown(show_catalog(), as_json=False)
+    lines = capsys.readouterr().out.splitlines()
+    (line,) = [line for line in lines if f"\t{package} 1.0" in line]
+    assert f"refused: {reason}" in line
+    print_shown(show_kind("gain"), as_json=False)
+    assert "relay_parts" not in capsys.readouterr().out
+
+
+def test_a_scenario_cannot_use_a_doubtful_entry_point(site):
+    """One without a class, and one that two packages declare: with both, and the way out."""
+    install(site, "nameless", "nobody = relay_parts.thermostats")
+    with pytest.raises(ScenarioError, match=r"got 'relay_parts\.thermostats'"):
+        cosim.run("thermostat.toml", set={"relay": {"kind": "nobody"}})
+    install(site, "other", "relay = relay_parts.thermostats:Relay", version="2.0")
+    with pytest.raises(ScenarioError, match=r"'relay' is declared 2 times.*kind = .pyt") as error:
+        cosim.run("thermostat.toml")
+    assert "other 2.0" in str(error.value)
+    assert "relay_package 1.0" in str(error.value)

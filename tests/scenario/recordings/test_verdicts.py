@@ -1,11 +1,12 @@
-"""Guaranteed intervals beside the estimates of a run, for an irregular part of the disturbance."""
+"""Verdicts: intervals that are guaranteed for an irregular part, and the noise of a residual."""
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import cosim
-from cosim.errors import ScenarioError
 from cosim.scenario.record import IDENTIFICATION
+from cosim.scenario.recordings.verdicts import residual_noise
 from cosim.theory.bounded import irregular_part
 from cosim.theory.bounded.set_membership import FeasibleInterval
 
@@ -98,8 +99,20 @@ def test_noise_that_is_stated_is_not_taken_from_the_residual():
     assert widths[2] > 1.2 * widths[1]
 
 
-@pytest.mark.parametrize("bound", [0.0, -0.01])
-def test_a_bound_is_positive(bound):
-    """Zero would be the interval of noise."""
-    with pytest.raises(ScenarioError, match=rf"identifier\.irregular'\]: .*> 0, got {bound}$"):
-        cosim.run("academic-noisy", set={"identifier.irregular": bound})
+# --- the noise of a residual ---
+
+SAMPLES = 2000
+
+
+@pytest.mark.parametrize("pause", [0.0, 1.0, 1000.0])
+def test_a_pause_in_the_record_hides_no_color(pause):
+    """AR(1) has (1 + a)/(1 - a) of its mean power at 0, known to 8 ((1 - a^2)/N)^1/2; four times.
+
+    Also where the samples of the middle of the record, in time, are none.
+    """
+    noise = lfilter([1.0], [1.0, -0.5], np.random.default_rng(1).standard_normal(SAMPLES))
+    t = 0.01 * np.arange(SAMPLES)
+    t[SAMPLES // 2 :] += pause
+    problem, power, _ = residual_noise(t, noise)
+    assert problem == ""
+    assert power == pytest.approx(3.0, abs=4.0 * 8.0 * np.sqrt(0.75 / SAMPLES))

@@ -5,10 +5,12 @@ One of these is a layout for viewers: outputs that are measured, and estimates b
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -22,14 +24,17 @@ from cosim.core.recorded.run import SCENARIO_FILE
 from cosim.core.recorded.signals import RecordedPort, find_signal
 from cosim.core.signals import Channel
 from cosim.documents import plain
-from cosim.errors import UnknownSignalError
+from cosim.errors import FmuError, UnknownSignalError, flag
+from cosim.files import read_bounded
 from cosim.log import Attachment
 from cosim.log.contents.viewer_layout import LAYOUT_FILE, ViewerPanel, layout_json, output_panels
+from cosim.log.mcap_file.places import MOST_ATTACHED
 from cosim.scenario.building.actions import SETTINGS
 from cosim.scenario.building.build import asks_for_means
 from cosim.scenario.building.experiment import Experiment, fingerprint
 from cosim.scenario.record import MEANS
 
+MOST_EMBEDDED: Final = MOST_ATTACHED - 2**12  # bytes; the record of an attachment has a head, too
 # Estimates that viewers show where no truth is given; of the others only some are beside these.
 _SHOWN: Final = ("delta", "theta")
 _MEASURED: Final = "y"
@@ -137,9 +142,39 @@ def attachments_of(experiment: Experiment, *, embed: bool = False) -> list[Attac
         Attachment(LAYOUT_FILE, "application/json", layout_json(panels)),
     ]
     if embed:
-        from cosim.scenario.recordings.embedding import embedded_fmus  # rarely needed
+        attachments += _embedded_fmus(experiment.built.fmu_files)
+    return attachments
 
-        attachments += embedded_fmus(experiment.built.fmu_files)
+
+def embedded_name(sha256: str) -> str:
+    """Return the name of the attachment that an FMU is, by its hash."""
+    return f"{sha256}.fmu"
+
+
+def _embedded_fmus(files: Mapping[str, Path]) -> list[Attachment]:
+    """Return FMUs as attachments of a log.
+
+    Parameters
+    ----------
+    files : mapping of SHA-256 to Path
+
+    Raises
+    ------
+    FmuError
+        If one is too large to be read back, or is not the one any more that was opened.
+    """
+    attachments = []
+    for sha256, path in files.items():
+        try:
+            content = read_bounded(path, MOST_EMBEDDED)
+        except OSError as error:
+            reason = error.strerror or error
+            raise FmuError(
+                f"{path} cannot be put into the log: {reason}; omit {flag('embed')}"
+            ) from error
+        if hashlib.sha256(content).hexdigest() != sha256:
+            raise FmuError(f"{path}: changed while it was being read; try again")
+        attachments.append(Attachment(embedded_name(sha256), "application/zip", content))
     return attachments
 
 
