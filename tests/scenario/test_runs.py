@@ -110,7 +110,7 @@ def test_replay_with_other_parameters_changes_what_depends_on_them(logged):
         text = "'compensator', on which 'plant' depends"
         if name == "pair":
             changes = {"controller.gain": 0.4}
-            text = "'controller', which drives 'motor'"
+            text = "'controller', on which 'motor' depends"
         with pytest.raises(UsageError, match=text):
             cosim.replay(path, set=changes)
         return
@@ -218,7 +218,7 @@ UNFOLLOWED = {
         ({"u.amplitude": 2.0}, r"\['u\.amplitude'\]: .*'u', on which 'plant' depends"),
         ({"components.u.amplitude": 2.0}, "'u', on which 'plant' depends"),
         ({"u": {"kind": "constant", "value": 1.0}}, "'u', on which 'plant' depends"),
-        ({"delta.terms": [{"family": "sine", "theta": 2.0}]}, "'delta', which drives"),
+        ({"delta.terms": [{"family": "sine", "theta": 2.0}]}, "'delta', on which 'plant' depends"),
         ({"connections.plant.u": "delta.y"}, "'plant' is taken from the recording"),
         ({"models.academic.Bu": [[0], [3], [1]]}, "'plant' is taken from the recording"),
         ({"plant.solver": "RK45"}, "'plant' is taken from the recording"),
@@ -229,7 +229,7 @@ UNFOLLOWED = {
     "closed-loop": [
         ({"controller.B": [[5.0]]}, "'controller', on which 'plant' depends"),
         ({"observer.filter_rate": 500.0}, "on which 'plant' depends"),
-        ({"connections.controller.u": "reference.y"}, "'controller', which drives"),
+        ({"connections.controller.u": "reference.y"}, "'controller', on which 'plant' depends"),
     ],
 }
 

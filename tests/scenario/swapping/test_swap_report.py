@@ -62,7 +62,7 @@ SMALL = """
 [scenario]
 name = "small"
 stop = 0.1
-step = 0.01
+step = 0.001
 [components]
 s = { kind = "constant", value = 1.0 }
 plant = { kind = "lag", time_constant = 0.5 }
