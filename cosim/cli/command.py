@@ -18,6 +18,7 @@ a path is the home folder, which a shell leaves in ``--out=~/run.mcap``.
 from __future__ import annotations
 
 import gc
+import re
 from ast import literal_eval
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
@@ -40,6 +41,8 @@ if TYPE_CHECKING:
     from cosim.report.tables.console import Shown
 
 OptionTable: TypeAlias = Mapping[str, str]
+
+_TUBE: Final = re.compile(r"([\d.]+(?:e[+-]?\d+)?) ?s(?:, ?([\d.]+(?:e[+-]?\d+)?) ?%)?", re.I)
 
 
 # --- values ---
@@ -173,6 +176,16 @@ def read_deviations(text: str, name: str) -> list[float]:
     return [float(item) for item in listed]
 
 
+def read_tube(text: str, name: str) -> tuple[float, float]:
+    """Return how wide a tube is [s], and the tolerance in it as a part of the largest value."""
+    match = _TUBE.fullmatch(text.strip())
+    try:
+        return float(match[1]), float(match[2] or 0.0) / 100.0  # type: ignore[index]
+    except (TypeError, ValueError) as error:
+        expected = "a time, and a tolerance in percent of the largest |a|: 0.02s or 0.02s,0.5%"
+        raise UsageError(f"{option(name)}: expected {expected}, got {text!r}") from error
+
+
 def read_size(text: str, name: str) -> tuple[float, float]:
     """Read the size of a picture [cm]."""
     width, _, height = text.partition("x")
@@ -224,6 +237,7 @@ KINDS: Final = {
     "ranges": OptionKind(list[str], read_ranges),
     "size": OptionKind(str, read_size),
     "step": OptionKind(str, read_step),
+    "tube": OptionKind(str, read_tube),
     "swaps": OptionKind(list[str], read_unique_pairs, completion.complete_swap),
     "values": OptionKind(list[str], read_edits),
     "variations": OptionKind(list[str], read_variations, completion.complete_setting),

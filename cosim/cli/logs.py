@@ -11,6 +11,7 @@ from cosim.cli.command import Given, command
 from cosim.cli.options import check_plot, live_server, shared
 from cosim.errors import CosimError, UsageError
 from cosim.files import file_type
+from cosim.options import Rule
 from cosim.report.printable import print_notice, print_text, printable
 from cosim.terminal import ended_by_interrupt
 
@@ -195,13 +196,19 @@ def play(given: Given) -> None:
         "signals [SIGNAL]... : list[str] = None": "Signals to compare, elements or patterns: "
         "plant.y plant.x_a[0:2] '*.delta'. All by default.",
         "--atol : float = 0.0": "Absolute tolerance.",
-        "--rtol : float = 0.0": "Tolerance relative to the largest value of each signal.",
+        "--rtol : float": "Tolerance relative to the largest value of each signal.",
         "--tol SIGNAL=VALUE : numbers": "Absolute tolerance of the signals that match a pattern, "
         "instead of --atol and --rtol: '*.delta=1e-3'. If several patterns match, the last one "
         "counts. Repeatable.",
+        "--interpolate": "Compare at all instants of A that lie within B: between its rows a "
+        "continuous signal of B is a straight line, any other keeps its value. Events are not "
+        "compared.",
+        "--tube WIDTH[,PERCENT] : tube": "A value of A is right if B has it at some instant no "
+        "farther away, within a part of the largest value: 0.02s,0.5%. Implies --interpolate.",
         "--plot FILE : Path": "Plot the signal that differs most.",
         **shared("json"),
-    }
+    },
+    Rule("tube", "brings its own relative tolerance", excludes="rtol"),
 )
 def diff(given: Given) -> bool:
     """Compare two logs signal by signal.
@@ -213,7 +220,15 @@ def diff(given: Given) -> bool:
     check_plot(given.plot)
     logs = cosim.open_log(given.a), cosim.open_log(given.b)
     signals = given.signals or ()
-    difference = cosim.diff(*logs, signals=signals, **given.only("atol rtol tol"))
+    width, part = given.tube or (0.0, 0.0)
+    difference = cosim.diff(
+        *logs,
+        signals=signals,
+        rtol=part if given.rtol is None else given.rtol,
+        interpolate=given.interpolate or given.tube is not None,
+        tube=width,
+        **given.only("atol tol"),
+    )
     given.print_shown(show_difference(difference))
     if given.plot is not None and difference.worst is None:
         print_notice(f"{given.plot}: not drawn, as the largest difference of two values is 0")

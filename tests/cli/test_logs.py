@@ -71,6 +71,36 @@ def test_overrides_are_shown_and_compared(call, tmp_path):
     assert "12 in b: within the tolerance" in out
 
 
+RAMP = """
+[scenario]
+name = "ramp"
+stop = {stop}
+step = {step}
+[components]
+r = {{ kind = "ramp", slope = 1.0, start_time = {start} }}
+"""
+
+
+def test_runs_of_other_instants_are_compared_between_them(call, tmp_path):
+    """A ramp that begins 0.05 s later has the value of the first within 0.05 s."""
+    for name, step, start, stop in (("a", 0.01, 0.2, 1), ("b", 0.04, 0.2, 1), ("c", 0.04, 0.25, 2)):
+        text = RAMP.format(step=step, start=start, stop=stop)
+        (tmp_path / f"{name}.toml").write_text(text)
+        cosim.run(tmp_path / f"{name}.toml", out=tmp_path / f"{name}.mcap")
+    assert call("diff", "a.mcap", "b.mcap")[0] == 1
+    assert call("diff", "a.mcap", "b.mcap", "--interpolate", "--atol", "1e-12")[0] == 0
+    assert call("diff", "a.mcap", "c.mcap", "--interpolate", "--atol", "0.049")[0] == 1
+    assert call("diff", "a.mcap", "c.mcap", "--tube", "0.05s,0.1%")[0] == 0
+    assert call("diff", "a.mcap", "c.mcap", "--tube", "0.04s,0.1%")[0] == 1
+    for tube in ("0.05", "0.05ms", "1..5s", "5%"):
+        code, _, err = call("diff", "a.mcap", "c.mcap", "--tube", tube)
+        assert code == 2
+        assert "--tube: expected a time" in err
+        assert repr(tube) in err
+    err = call("diff", "a.mcap", "c.mcap", "--tube", "0.05s", "--rtol", "0.1")[2]
+    assert "--tube brings its own relative tolerance; omit it or --rtol" in err
+
+
 # --- the hash of what they contain ---
 
 
