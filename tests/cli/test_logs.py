@@ -205,7 +205,7 @@ def test_diff_says_where_it_compares(call):
     code, out, _ = call("diff", "part.mcap", "a.mcap")
     assert code == 0
     assert "u.y\tnot recorded in a" in out
-    note = "note: compared only where both logs have rows: {} instants ({} in a, {} in b)"
+    note = "note: compared only where both have values: {} instants ({} in a, {} in b)"
     assert note.format("plant.u at 11", 11, 101) in out.splitlines()
     assert "note: compared" not in call("diff", "a.mcap", "a.mcap")[1]
     call("run", "academic", "--stop", "0.2", "--out", "longer.mcap")

@@ -44,9 +44,6 @@ def compare_between(
     if len(times_b):
         inside = (times_a >= times_b[0]) & (times_a <= times_b[-1])
     times = times_a[inside]
-    outside_b = 0
-    if len(times_a):
-        outside_b = int(((times_b < times_a[0]) | (times_b > times_a[-1])).sum())
     for comparison, signal in zip(comparisons, signals, strict=True):
         is_line = signal.type == "real" and signal.variability != "discrete"
         values_a = rows_a[inside, comparison.columns_a]
@@ -61,7 +58,7 @@ def compare_between(
             apart = np.minimum(apart, _from_tube(values_a, times, times_b, own, ends, tube_ns))
         comparison.extend_scale(rows_a)
         comparison.take(times, (values_a, values_b), apart, by_bits=False)
-        comparison.count(len(times_a), len(times) + outside_b, len(times))
+        comparison.count(len(times_a), len(times), len(times))
 
 
 def _joined(blocks: Iterator[TimedRows]) -> TimedRows:

@@ -142,7 +142,7 @@ def show_difference(difference: LogDifference) -> Shown:
         in_a, in_b, both = row.rows
         if row.status in ("equal", "within", "other times") and both < max(in_a, in_b):
             yield (
-                f"note: compared only where both logs have rows: {row.signal} at {both} instants "
+                f"note: compared only where both have values: {row.signal} at {both} instants "
                 f"({in_a} in a, {in_b} in b)"
             )
             break
