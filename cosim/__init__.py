@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from cosim.report.comparing import compare, compare_estimators
     from cosim.scenario.assumptions.report import check_assumptions
     from cosim.scenario.data_files.field_file import read_field_data
+    from cosim.scenario.data_files.recording_file import open_recording
     from cosim.scenario.experiment_design.ranking import design
     from cosim.scenario.kinds.models import model_table
     from cosim.scenario.running.execution import load, run
@@ -45,6 +46,7 @@ _HOMES = {
     "metrics": "cosim.studies.metrics",
     "model_table": "cosim.scenario.kinds.models",
     "open_log": "cosim.log.reading.reader",
+    "open_recording": "cosim.scenario.data_files.recording_file",
     "open_study": "cosim.studies.study",
     "read_field_data": "cosim.scenario.data_files.field_file",
     "replay_sweep": "cosim.studies.sweeping",
@@ -69,6 +71,7 @@ __all__ = [
     "metrics",
     "model_table",
     "open_log",
+    "open_recording",
     "open_study",
     "read_field_data",
     "replay",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from itertools import compress
 from typing import Final
 
 import cosim
@@ -59,7 +60,7 @@ def hash_(given: Given) -> bool:
 
 @command(
     {
-        **shared("log"),
+        **shared("recording"),
         "expressions [NAME=]EXPRESSION : list[str] = None": "Expressions as in [metrics] of a "
         "study, such as 'rms(observer.delta - delta.y, t > 5)'.",
         "--of DIR : str": "Compute the metrics of the study with this dataset.",
@@ -71,9 +72,8 @@ def metrics(given: Given) -> None:
 
     The values are bit for bit those of a study with this run.
     """
-    from cosim.log.editing.spans import open_joined
     from cosim.report.tables.console import section_tables
-    from cosim.studies.metrics import missing_rows, parse_metrics
+    from cosim.studies.metrics import missing_rows, open_whole, parse_metrics
 
     texts = {} if given.of is None else _metrics_of(given.of, str(given.log))
     for text in given.expressions or ():
@@ -88,7 +88,7 @@ def metrics(given: Given) -> None:
             "with metrics"
         )
     parsed = parse_metrics(texts)
-    opened = open_joined(given.log)
+    opened = open_whole(given.log)
     values = parsed.of(opened)
     lacking = missing_rows(parsed, opened)
     if lacking:
@@ -117,9 +117,9 @@ def _metrics_of(place: str, log: str) -> dict[str, str]:
 
 @command(
     {
-        "sources LOG... [SIGNAL]... : list[str]": "Logs (.mcap), then signals or elements, one "
-        "panel each: plant.y plant.x_a[0]. Joined by commas they share a panel: "
-        "plant.y,observer.y. Without signals: the standard picture of a log.",
+        "sources LOG... [SIGNAL]... : list[str]": "Logs, tables or MCAPs of other tools, then "
+        "signals or elements, one panel each: plant.y plant.x_a[0]. Joined by commas they share a "
+        "panel: plant.y,observer.y. Without signals: the standard picture of a log.",
         **shared("picture size"),
         "--from T : float": "First time shown [s].",
         "--to T : float": "Last time shown [s].",
@@ -132,10 +132,11 @@ def plot(given: Given) -> None:
     from cosim.report.plots.runs import plot_run, plot_signals
 
     options = PictureOptions(given.size, given.from_, given.to, given.title)
-    logs = [cosim.open_log(source) for source in given.sources if file_type(source) == "log"]
-    signals = [source for source in given.sources if file_type(source) != "log"]
+    is_file = [file_type(source) in ("log", "table") for source in given.sources]
+    logs = [cosim.open_recording(source) for source in compress(given.sources, is_file)]
+    signals = [source for source, is_log in zip(given.sources, is_file, strict=True) if not is_log]
     if not logs:
-        raise UsageError(f"expected a log (.mcap), got {', '.join(signals)}")
+        raise UsageError(f"expected a log (.mcap) or a table (.csv, ...), got {', '.join(signals)}")
     if signals:
         plot_signals(logs, signals, given.out, options)
     elif len(logs) == 1:
@@ -191,8 +192,8 @@ def play(given: Given) -> None:
 
 @command(
     {
-        "a A : Path": "A log.",
-        "b B : Path": "Another log.",
+        "a A : Path": "A log, a table or an MCAP of another tool.",
+        "b B : Path": "Another one.",
         "signals [SIGNAL]... : list[str] = None": "Signals to compare, elements or patterns: "
         "plant.y plant.x_a[0:2] '*.delta'. All by default.",
         "--atol : float = 0.0": "Absolute tolerance.",
@@ -218,7 +219,7 @@ def diff(given: Given) -> bool:
     from cosim.report.tables.logs import show_difference
 
     check_plot(given.plot)
-    logs = cosim.open_log(given.a), cosim.open_log(given.b)
+    logs = cosim.open_recording(given.a), cosim.open_recording(given.b)
     signals = given.signals or ()
     width, part = given.tube or (0.0, 0.0)
     difference = cosim.diff(
@@ -246,7 +247,7 @@ def diff(given: Given) -> bool:
 
 @command(
     {
-        **shared("log signals span"),
+        **shared("recording signals span"),
         "--format csv|jsonl : str = 'csv'": "CSV or JSON Lines.",
         "--follow": "Keep printing rows as a run flushes them to the log (polled every 0.2 s), "
         "until the run ends. The log must exist.",
@@ -261,15 +262,15 @@ def cat(given: Given) -> None:
     from cosim.log.conversion.text import TextSource, table_text
 
     table: TextSource
-    rows = (given.log, given.signals, given.from_, given.to)
+    chosen = (given.signals, given.from_, given.to)
     if given.follow:
         from cosim.log.conversion.following import FollowedLog
 
-        table = FollowedLog(*rows)
+        table = FollowedLog(given.log, *chosen)
     else:
         from cosim.log.conversion.choice import choose
 
-        table = choose(*rows)
+        table = choose(cosim.open_recording(given.log), *chosen)
     lines = table_text(table, given.format)
     is_terminal = sys.stdout.isatty()
     with ended_by_interrupt(quietly=given.follow):
@@ -282,7 +283,7 @@ def cat(given: Given) -> None:
 
 @command(
     {
-        **shared("log"),
+        **shared("recording"),
         "out OUT : Path": "File to write: .csv, .parquet, .mat or .npz.",
         **shared("signals span force-file"),
     }
@@ -296,7 +297,8 @@ def convert(given: Given) -> None:
     from cosim.log.conversion.choice import choose
     from cosim.log.conversion.files import convert as convert_log
 
-    chosen = choose(given.log, given.signals, given.from_, given.to)
+    recording = cosim.open_recording(given.log)
+    chosen = choose(recording, given.signals, given.from_, given.to)
     convert_log(chosen, given.out, force=given.force)
     print_text(given.out)
 

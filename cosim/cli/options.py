@@ -26,6 +26,10 @@ SHARED: Final[Mapping[str, OptionTable]] = {
         "scenario SCENARIO : scenario": "A shipped scenario by name, or a path to a .toml file."
     },
     "log": {"log LOG : Path": "A log written by 'cosim run' (.mcap)."},
+    "recording": {
+        "log LOG : Path": "A log, a table with times (.csv, .parquet, .xlsx, .mat, ...) or an MCAP "
+        "of another tool.",
+    },
     "out": {"--out -o PATH : Path": "Log to write (.mcap)."},
     "new-log": {"--out -o PATH : Path = ...": "Log to write (.mcap)."},
     "force": {"--force": "Replace an existing log."},

@@ -27,8 +27,8 @@ from cosim.arguments import mapping_argument
 from cosim.arrays import NAN, Vector
 from cosim.core.port import Port
 from cosim.core.recorded.partial import PartialChannels
+from cosim.core.recorded.run import RecordedRun
 from cosim.core.recorded.signals import RecordedPort, find_signal
-from cosim.core.recorders import Memory
 from cosim.core.recording import Recording
 from cosim.core.signals import Channel
 from cosim.errors import UnknownSignalError, UsageError, listing, nearest, quoted
@@ -49,6 +49,7 @@ from cosim.native.numerics.expression import (
 )
 from cosim.native.numerics.programs import RowProgram
 from cosim.native.numerics.reductions import KeptValues, RowReduction, RowReductions
+from cosim.scenario.data_files.recording_file import open_recording
 
 _COMPARISONS: Final[Mapping[type[ast.cmpop], Callable[[Any, Any], Any]]] = {
     ast.Lt: operator.lt,
@@ -531,7 +532,7 @@ def _reduced(
 
 
 def metrics(
-    log: str | Path | Log | Memory, expressions: Mapping[str, str]
+    log: str | Path | RecordedRun, expressions: Mapping[str, str]
 ) -> dict[str, float | None]:
     """Return metrics of a recorded run, by name; None: one has no value.
 
@@ -543,8 +544,9 @@ def metrics(
 
     Parameters
     ----------
-    log : str, Path, Log or Memory
-        A file of a log that was rotated is read with those before it.
+    log : str, Path or RecordedRun
+        Of a path, see :func:`cosim.open_recording`; a file of a log that was rotated is read with
+        those before it.
     expressions : mapping of name to expression
         As [metrics] of a study has them, such as ``{"last": "last(plant.y)"}``.
 
@@ -555,11 +557,16 @@ def metrics(
     LogError
         If the log cannot be read.
     """
-    parsed = parse_metrics(expressions)
-    return parsed.of(log if isinstance(log, Memory) else open_joined(log))
+    return parse_metrics(expressions).of(open_whole(log))
 
 
-def missing_rows(metrics: Metrics, log: Log) -> str:
+def open_whole(log: str | Path | RecordedRun) -> RecordedRun:
+    """Open a recording; the last file of a log that was rotated with those before it."""
+    recording = log if isinstance(log, RecordedRun) else open_recording(log)
+    return open_joined(recording) if isinstance(recording, Log) else recording
+
+
+def missing_rows(metrics: Metrics, log: RecordedRun) -> str:
     """Return which rows of its run a log lacks that metrics are made of; empty: none."""
     if log.status == "partial":
         return f"{log.label} is a part of the log of its run"

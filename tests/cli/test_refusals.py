@@ -127,7 +127,7 @@ FILES = {
 # The reason is the same for every command that needs a signal which was not recorded.
 NO_LOG = {
     "replay text.mcap": "text.mcap is not an MCAP file",
-    "info empty.mcap": "empty.mcap is not an MCAP file",
+    "info empty.mcap": "empty.mcap is empty; expected an MCAP file",
     "diff short.mcap a.mcap": "short.mcap is truncated",
     "plot short.mcap u.y -o x.png": "short.mcap is truncated",
     "info short.mcap": "'cosim recover'",

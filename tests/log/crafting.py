@@ -9,7 +9,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from cosim.log.contents.layout import copy_values, record_dtype
-from cosim.log.contents.metadata import CHECKSUM, add_checksum
+from cosim.log.mcap_file.checksum import CHECKSUM, add_checksum
 
 
 @dataclass

@@ -28,13 +28,8 @@ from cosim.arrays import Matrix
 from cosim.core.signals import Channel, Interface, Signal, element_names
 from cosim.errors import quoted
 from cosim.instants import StepNs
-from cosim.log.contents.metadata import (
-    add_checksum,
-    compact,
-    json_table,
-    read_json,
-    verify_checksum,
-)
+from cosim.log.contents.metadata import compact, json_table, read_json
+from cosim.log.mcap_file.checksum import add_checksum, verify_checksum
 from cosim.log.mcap_file.records import HEADER
 from cosim.units import BaseUnit
 

@@ -1,17 +1,10 @@
-"""Metadata maps with a checksum of their own, and exact arrays in them.
-
-MCAP protects neither metadata records nor the channels of a file that is still written: one flipped
-bit makes a filter rate of 0000.0 out of 1000.0, unnoticed. So every map of ours carries the SHA-256
-of its name and items.
-"""
+"""JSON of metadata, and exact arrays in it."""
 
 from __future__ import annotations
 
 import base64
-import hashlib
 import json
 import re
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -20,8 +13,6 @@ from numpy.typing import NDArray
 from cosim.core.contracts import Design
 from cosim.errors import quoted
 
-PREFIX = "cosim."
-CHECKSUM = "cosim.sha256"
 _MOST_AXES = 8
 _SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
 
@@ -76,36 +67,6 @@ def json_texts(text: str) -> list[str]:
     if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
         raise ValueError(f"expected a list of strings, got {quoted(value)}")
     return value
-
-
-def add_checksum(name: str, items: Mapping[str, str]) -> dict[str, str]:
-    """Add the checksum to the map recorded under ``name``."""
-    return {**items, CHECKSUM: _checksum(name, items)}
-
-
-def verify_checksum(name: str, items: Mapping[str, str]) -> dict[str, str]:
-    """Check the map recorded under ``name`` and return it without its checksum.
-
-    Maps that other tools added pass as they are.
-
-    Raises
-    ------
-    ValueError
-        If the checksum is missing from a map of ours, or does not fit.
-    """
-    if CHECKSUM not in items and not name.startswith(PREFIX):
-        return dict(items)
-    content = dict(items)
-    checksum = content.pop(CHECKSUM, None)
-    if checksum != _checksum(name, content):
-        raise ValueError(f"metadata {name!r} is damaged: its checksum does not match its content")
-    return content
-
-
-def _checksum(name: str, items: Mapping[str, str]) -> str:
-    # Sorted: another tool may write the items of a map in another order.
-    text = compact([name, sorted(items.items())])
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def encode_design(design: Design) -> str:

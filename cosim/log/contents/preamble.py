@@ -11,10 +11,11 @@ from cosim.log.contents.comments import element_comments, part_comment
 from cosim.log.contents.environment import WRITTEN, environment
 from cosim.log.contents.layout import Part
 from cosim.log.contents.messages import EVENT_SCHEMA, LOG_SCHEMA, STEP_SCHEMA, MessageSchema
-from cosim.log.contents.metadata import add_checksum, compact, encode_design
+from cosim.log.contents.metadata import compact, encode_design
 from cosim.log.contents.record_selection import DECLARED, RECORD, declaration_json, partial_metadata
 from cosim.log.contents.schema import component_schema, identifiers
 from cosim.log.contents.viewer_layout import LAYOUT_FILE, layout_json, output_panels
+from cosim.log.mcap_file.checksum import add_checksum
 from cosim.log.mcap_file.head import FileHead
 
 FORMAT = "2"

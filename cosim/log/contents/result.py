@@ -15,7 +15,7 @@ from isal import isal_zlib
 
 from cosim.core.recorders import EndOfRun
 from cosim.instants import NANOSECONDS
-from cosim.log.contents.metadata import add_checksum
+from cosim.log.mcap_file.checksum import add_checksum
 from cosim.log.mcap_file.head import attachment_group, metadata_group
 from cosim.log.mcap_file.summary import RecordGroup
 

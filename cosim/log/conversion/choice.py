@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 from cosim.core.recorded.joined_rows import JoinedRows, joined_rows
 from cosim.core.recorded.run import RecordedRun, RecordedWindow, span_ns
@@ -16,7 +15,6 @@ from cosim.core.recorded.selection import (
 )
 from cosim.core.recorded.signals import RecordedPort
 from cosim.core.signals import Signal
-from cosim.log.reading.reader import open_log
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,13 +59,13 @@ def signal_metadata(signal: Signal, unit: str | None) -> dict[str, str]:
 
 
 def choose(
-    path: Path, names: Iterable[str] | None, start: float | None, stop: float | None
+    run: RecordedRun, names: Iterable[str] | None, start: float | None, stop: float | None
 ) -> LogChoice:
-    """Open a log and choose what options of the command line say.
+    """Choose of a run what options of the command line say.
 
     Parameters
     ----------
-    path : Path
+    run : RecordedRun
     names : iterable of str, or None
         Names and patterns, several with commas between; None: all.
     start, stop : float or None
@@ -78,9 +76,8 @@ def choose(
     UsageError
         If ``start`` is after ``stop``.
     LogError
-        If the log cannot be read, or a signal is unknown.
+        If a signal is unknown.
     """
     span = span_ns(start, stop, names=("--from", "--to"))
-    log = open_log(path)
-    run = log if span == (None, None) else RecordedWindow(log, *span)
-    return LogChoice.of(run, None if names is None else split_names(",".join(names)))
+    part = run if span == (None, None) else RecordedWindow(run, *span)
+    return LogChoice.of(part, None if names is None else split_names(",".join(names)))

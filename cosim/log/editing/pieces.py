@@ -19,7 +19,7 @@ from cosim.errors import GraphError, LogError
 from cosim.instants import Grid
 from cosim.log.contents.environment import library_name
 from cosim.log.contents.layout import Part, read_part, record_dtype
-from cosim.log.contents.metadata import json_table, verify_checksum
+from cosim.log.contents.metadata import json_table
 from cosim.log.contents.result import (
     PARTIAL,
     PARTIAL_STATUS,
@@ -31,6 +31,7 @@ from cosim.log.contents.result import (
     span_text,
 )
 from cosim.log.contents.run_start import recorded_start_ns
+from cosim.log.mcap_file.checksum import verify_checksum
 from cosim.log.mcap_file.chunks import MessageBatch, separate_chunks
 from cosim.log.mcap_file.head import FileHead, attachment_group
 from cosim.log.mcap_file.live_file import LiveFile

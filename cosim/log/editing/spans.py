@@ -66,7 +66,7 @@ def cut(
     log = open_log(path)
     file = Container(log.path)
     pieces = LogPieces.of(file)
-    span = _Span(pieces, first_ns, last_ns)
+    span = _CutSpan(pieces, first_ns, last_ns)
 
     def end(_: str) -> ResultItems:
         if span.first_row is None:
@@ -78,7 +78,7 @@ def cut(
 
 
 @final
-class _Span:
+class _CutSpan:
     """Says which messages are in a span of time, and keeps which rows of it there are."""
 
     def __init__(self, pieces: LogPieces, first_ns: int | None, last_ns: int | None) -> None:

@@ -14,8 +14,8 @@ from types import SimpleNamespace
 from typing import Any, Final, NamedTuple, TypeAlias
 
 from cosim.instants import NANOSECONDS
+from cosim.log.foreign.decoded_format import DecodedFormat
 from cosim.log.foreign.fields import FieldProblem, StampNs
-from cosim.log.foreign.formats import DecodedFormat
 from cosim.log.foreign.topics import ForeignSchema
 
 _MOST_TEXT: Final = 2**20  # bytes of a schema

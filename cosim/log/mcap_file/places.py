@@ -27,7 +27,7 @@ from mcap.opcode import Opcode
 from mcap.summary import Summary
 
 from cosim.errors import LogError
-from cosim.log.contents.metadata import PREFIX, verify_checksum
+from cosim.log.mcap_file.checksum import PREFIX, verify_checksum
 from cosim.log.mcap_file.chunks import CHUNK_HEAD, decompressed, read_chunk_header
 from cosim.log.mcap_file.compression import MOST_BYTES
 from cosim.log.mcap_file.live_file import SEAL

@@ -29,18 +29,13 @@ from cosim.errors import GraphError, LogError, UsageError, nearest, quoted
 from cosim.instants import Grid, StepNs
 from cosim.log.contents.layout import read_number
 from cosim.log.contents.messages import decode_event, decode_log, decode_substep
-from cosim.log.contents.metadata import (
-    decode_design,
-    json_table,
-    json_texts,
-    read_json,
-    verify_checksum,
-)
+from cosim.log.contents.metadata import decode_design, json_table, json_texts, read_json
 from cosim.log.contents.preamble import EVENT_TOPIC, FORMAT, LOG_TOPIC, STEP_TOPIC
 from cosim.log.contents.record_selection import read_partial
 from cosim.log.contents.result import PARTIAL_STATUS, RESULT, RESULT_FILE
 from cosim.log.contents.run_start import recorded_start_ns
 from cosim.log.contents.signal_hashes import hash_signals
+from cosim.log.mcap_file.checksum import verify_checksum
 from cosim.log.mcap_file.own_file import OwnFile
 from cosim.log.mcap_file.paths import log_path
 from cosim.log.mcap_file.places import MALFORMED

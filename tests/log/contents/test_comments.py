@@ -11,8 +11,8 @@ from mcap_protobuf.decoder import DecoderFactory
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.log import Log, McapRecorder
 from cosim.log.contents.layout import read_part, signals_json, split_channel
-from cosim.log.contents.metadata import add_checksum
 from cosim.log.contents.preamble import part_schema
+from cosim.log.mcap_file.checksum import add_checksum
 from tests.log.crafting import without_checksum
 from tests.log.recordings import blocks, plan, same_bits, table
 

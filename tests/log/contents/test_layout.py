@@ -22,8 +22,8 @@ from cosim.log.contents.layout import (
     signals_json,
     split_channel,
 )
-from cosim.log.contents.metadata import add_checksum
 from cosim.log.contents.schema import component_schema
+from cosim.log.mcap_file.checksum import add_checksum
 from cosim.units import BASE, BaseUnit
 from tests.log.crafting import without_checksum
 from tests.log.decoding import message_class

@@ -6,7 +6,8 @@ import json
 
 import pytest
 
-from cosim.log.contents.metadata import add_checksum, decode_design, encode_design, verify_checksum
+from cosim.log.contents.metadata import decode_design, encode_design
+from cosim.log.mcap_file.checksum import add_checksum, verify_checksum
 from tests.log.recordings import plan, same_bits
 
 

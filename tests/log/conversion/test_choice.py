@@ -12,6 +12,6 @@ def test_a_choice_of_unknown_signals_or_no_time_is_refused(recorded):
     """Before a file is begun."""
     log, _ = recorded
     with pytest.raises(UnknownSignalError, match=r"'x\.\*'"):
-        choose(log.path, ["x.*"], None, None)
+        choose(log, ["x.*"], None, None)
     with pytest.raises(UsageError, match=r"--(from|to).*--(from|to)"):
-        choose(log.path, None, 2.0, 1.0)
+        choose(log, None, 2.0, 1.0)

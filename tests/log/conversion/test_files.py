@@ -66,7 +66,7 @@ def test_each_column_has_the_unit_of_its_element(tmp_path):
 def test_csv_has_the_rows_that_are_chosen(recorded, tmp_path):
     """Those of a window, of signals by pattern."""
     log, rows = recorded
-    convert(choose(log.path, ["*.y", "plant.u,plant.n"], 0.1, 0.2), tmp_path / "a.csv")
+    convert(choose(log, ["*.y", "plant.u,plant.n"], 0.1, 0.2), tmp_path / "a.csv")
     with (tmp_path / "a.csv").open(newline="", encoding="utf-8") as stream:
         header, *lines = csv.reader(stream)
     assert header[1:] == [*(f"identifier.y[{i}]" for i in range(3)), "plant.u [m/s]", "plant.n"]

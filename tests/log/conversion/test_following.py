@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cosim.errors import LogError
-from cosim.log import McapRecorder
+from cosim.log import McapRecorder, open_log
 from cosim.log.conversion.choice import choose
 from cosim.log.conversion.following import FollowedLog
 from cosim.log.conversion.text import csv_text
@@ -21,7 +21,7 @@ from tests.log.recordings import STEP_NS, blocks, layout, plan, record, same_bit
 STEPS = 600
 WRITER = f"""
 import sys
-from cosim.log import McapRecorder
+from cosim.log import McapRecorder, open_log
 from tests.log.recordings import blocks, layout, plan, table
 
 rows = table(layout(), {STEPS})
@@ -81,7 +81,7 @@ def test_every_row_comes_once_bit_for_bit(writer):
     assert len(parts) > 1  # or nothing was followed
     time_ns, values = joined(parts)
     assert np.array_equal(time_ns, np.arange(STEPS + 1) * 1_000_000)
-    whole = choose(path, None, None, None)
+    whole = choose(open_log(path), None, None, None)
     assert same_bits(values, joined(whole.joined())[1])
 
 
@@ -102,7 +102,7 @@ def test_the_log_of_a_run_that_was_killed_ends(writer):
     for part in FollowedLog(path, ["plant.*"], wait=kill).joined():
         parts.append(part)
     time_ns, values = joined(parts)
-    whole = choose(path, ["plant.*"], None, None)
+    whole = choose(open_log(path), ["plant.*"], None, None)
     assert whole.run.status == "unfinished"
     assert same_bits(values, joined(whole.joined())[1])
     assert len(time_ns) >= 1
@@ -123,7 +123,7 @@ def test_a_closed_log_is_printed_as_ever(tmp_path):
     path = tmp_path / "a.mcap"
     record(path, steps=50)
     text = "".join(csv_text(FollowedLog(path, None, wait=pytest.fail)))
-    assert text == "".join(csv_text(choose(path, None, None, None)))
+    assert text == "".join(csv_text(choose(open_log(path), None, None, None)))
 
 
 def test_a_damaged_log_is_an_error_after_some_attempts(tmp_path):

@@ -1,0 +1,77 @@
+"""Recordings of other tools read as runs: tables, and messages in MCAP files."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.errors import LogError, UnknownSignalError, UsageError
+from cosim.log.conversion.choice import LogChoice
+from cosim.log.conversion.files import convert
+from tests.log.foreign.field_logs import write_json
+
+
+def table(folder, text):
+    path = folder / "a.csv"
+    path.write_text(text)
+    return cosim.open_recording(path)
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet"])
+def test_a_converted_log_is_the_run(tmp_path, ending):
+    """Every signal has the same bits at the same times, those of slower components, too."""
+    changes = {"scenario.stop": 1.0, "identifier.period": 0.02}
+    log = cosim.run("closed-loop", set=changes, out=tmp_path / "a.mcap")
+    convert(LogChoice.of(log), tmp_path / f"a.{ending}")
+    found = cosim.open_recording(tmp_path / f"a.{ending}")
+    difference = cosim.diff(log, found)
+    assert {row.status for row in difference.rows} == {"equal"}
+    assert difference.equal
+    assert found.time("identifier")[1] == 0.02
+    expressions = {"rms": "rms(plant.y - observer.y)"}
+    assert cosim.metrics(found, expressions) == cosim.metrics(log, expressions)
+
+
+def test_columns_are_signals_of_components(tmp_path):
+    """With their units; one that names no component belongs to the table, and a gap is no row."""
+    run = table(tmp_path, "t [ms],a.y [mm],a.x[0],a.x[1],p\n0,1,2,3,4\n1,,,,5\n2,6,,7,8\n")
+    assert list(run.channels) == ["a", "table"]
+    np.testing.assert_array_equal(run.time_ns("a"), [0, 2_000_000])
+    np.testing.assert_array_equal(run["a.x"], [[2, 3], [np.nan, 7]])
+    np.testing.assert_array_equal(run["table.p"], [4, 5, 8])
+    assert run["a.y"].tolist() == [1, 6]
+    assert run.channels["a"].by_name["y"].unit == "mm"
+    assert (run.end_ns, run.step_ns, run.status) == (2_000_000, 1_000_000, "complete")
+    assert run.window(0.001)["a.y"].tolist() == [6]
+    with pytest.raises(UnknownSignalError, match=r"table\.q.*p"):
+        run["table.q"]
+
+
+def test_topics_are_components(tmp_path):
+    """Each with the times of its messages; fields that are no numbers are left out."""
+    path = tmp_path / "a.mcap"
+    messages = {
+        "/drive": [(0, {"y": 1.5, "name": "d"}), (2_000_000, {"y": 2.5, "name": "d"})],
+        "/valve": [(1_000_000, {"open": True, "p": [1, 2]})],
+    }
+    write_json(path, messages)
+    run = cosim.open_recording(path)
+    assert run["/drive.y"].tolist() == [1.5, 2.5]
+    assert run.time_ns("/drive").tolist() == [0, 2_000_000]
+    assert run["/valve.p"].tolist() == [[1, 2]]
+    assert run.channels["/valve"].by_name["open"].variability == "discrete"
+    assert cosim.diff(run, run).equal
+
+
+def test_what_is_no_recording_is_refused(tmp_path):
+    """Each by one error that names the file and what was expected."""
+    with pytest.raises(UsageError, match=r"a\.csv.*at least 1 ns apart"):
+        table(tmp_path, "t,y\n0,1\n0.0000000001,2\n")
+    with pytest.raises(UsageError, match=r"a\.csv.*292 years.*got 10000000000"):
+        table(tmp_path, "t,y\n0,1\n1e10,2\n")
+    write_json(tmp_path / "b.mcap", {"/text": [(0, {"text": "x"})]})
+    with pytest.raises(LogError, match=r"b\.mcap: expected messages with numeric fields"):
+        cosim.open_recording(tmp_path / "b.mcap")
+    with pytest.raises(LogError, match=r"c\.mcap.*No such file"):
+        cosim.open_recording(tmp_path / "c.mcap")
