@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import TracebackType
@@ -15,7 +15,7 @@ from cosim.arrays import Mask, Matrix, Nanoseconds, read_only
 from cosim.core.arguments import check_type
 from cosim.core.contracts import Block, Stopped
 from cosim.core.growing_rows import GrowingRows
-from cosim.core.recorded.run import RecordedRun, blocks_within
+from cosim.core.recorded.run import RecordedRun
 from cosim.core.recorded.signals import RunMessage, find_channel
 from cosim.core.recording import (
     Following,
@@ -194,9 +194,6 @@ class Memory(RecordedRun):
             raise LogError(f"{self.label} has no attachment {name!r}; {known}")
         return self._attachments[name]
 
-    def load(self, *components: str) -> None:
-        """Do nothing: all rows are in memory."""
-
     @property
     def step_ns(self) -> StepNs:
         """Communication step [ns]."""
@@ -257,39 +254,6 @@ class Memory(RecordedRun):
         kept: Matrix = own_rows[self._is_kept(channel)]
         kept.flags.writeable = False
         return kept
-
-    def blocks(
-        self, component: str, *, first_ns: int | None = None, last_ns: int | None = None
-    ) -> Iterator[tuple[Nanoseconds, Matrix]]:
-        """Yield times and rows of a component: all at once, as they are in memory anyway.
-
-        With bounds [ns], both included, only the rows between them.
-
-        Raises
-        ------
-        UnknownSignalError
-            If there is no such component; names the nearest.
-        """
-        whole = self.time_ns(component), self.rows(component)
-        yield from blocks_within(iter([whole]), first_ns, last_ns)
-
-    def blocks_of(
-        self,
-        components: Sequence[str],
-        *,
-        first_ns: int | None = None,
-        last_ns: int | None = None,
-    ) -> Iterator[tuple[str, Nanoseconds, Matrix]]:
-        """Yield names, times and rows of components, all of each at once.
-
-        Raises
-        ------
-        UnknownSignalError
-            If there is no such component; names the nearest.
-        """
-        for name in components:
-            for times, rows in self.blocks(name, first_ns=first_ns, last_ns=last_ns):
-                yield name, times, rows
 
     def time_ns(self, component: str) -> Nanoseconds:
         """Return the instants of a component's rows, shape (N,) [ns].

@@ -76,13 +76,21 @@ class RecordedRun(RecordedSignals):
     def substeps(self) -> list[Substep]:
         """Return the substeps of loops, in the order of where they begin."""
 
-    @abstractmethod
     def blocks(
         self, component: str, *, first_ns: int | None = None, last_ns: int | None = None
     ) -> Iterator[tuple[Nanoseconds, Matrix]]:
-        """Yield times and rows of a component in order of time, some at a time."""
+        """Yield times and rows of a component in order of time, some at a time.
 
-    @abstractmethod
+        With bounds [ns], both included, only the rows between them.
+
+        Raises
+        ------
+        UnknownSignalError
+            If there is no such component; names the nearest.
+        """
+        whole = self.time_ns(component), self.rows(component)
+        yield from blocks_within(iter([whole]), first_ns, last_ns)
+
     def blocks_of(
         self,
         components: Sequence[str],
@@ -90,9 +98,17 @@ class RecordedRun(RecordedSignals):
         first_ns: int | None = None,
         last_ns: int | None = None,
     ) -> Iterator[tuple[str, Nanoseconds, Matrix]]:
-        """Yield names, times and rows of components as they come, each in order of time."""
+        """Yield names, times and rows of components as they come, each in order of time.
 
-    @abstractmethod
+        Raises
+        ------
+        UnknownSignalError
+            If there is no such component; names the nearest.
+        """
+        for name in components:
+            for times, rows in self.blocks(name, first_ns=first_ns, last_ns=last_ns):
+                yield name, times, rows
+
     def load(self, *components: str) -> None:
         """Read several components at once, where they are not in memory yet."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple, final
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from cosim.arrays import Mask, Matrix, Nanoseconds, read_only
 from cosim.blocks.field_data import FieldSignal
-from cosim.core.recorded.run import RecordedRun, blocks_within
+from cosim.core.recorded.run import RecordedRun
 from cosim.core.recorded.signals import RunMessage, find_channel
 from cosim.core.recording import SignalEvent, Substep
 from cosim.core.signals import Channel, Interface, Signal
@@ -172,9 +172,6 @@ class FileRun(RecordedRun):
         """Return nothing."""
         return []
 
-    def load(self, *components: str) -> None:
-        """Do nothing: all rows are in memory."""
-
     def rows(self, component: str) -> Matrix:
         """Return all rows of a component, shape (N, width)."""
         find_channel(self.channels, component, source=self.label)
@@ -184,25 +181,6 @@ class FileRun(RecordedRun):
         """Return the instants of a component's rows, shape (N,) [ns]."""
         find_channel(self.channels, component, source=self.label)
         return self._samples[component].time_ns
-
-    def blocks(
-        self, component: str, *, first_ns: int | None = None, last_ns: int | None = None
-    ) -> Iterator[tuple[Nanoseconds, Matrix]]:
-        """Yield times and rows of a component: all at once, as they are in memory anyway."""
-        whole = self.time_ns(component), self.rows(component)
-        yield from blocks_within(iter([whole]), first_ns, last_ns)
-
-    def blocks_of(
-        self,
-        components: Sequence[str],
-        *,
-        first_ns: int | None = None,
-        last_ns: int | None = None,
-    ) -> Iterator[tuple[str, Nanoseconds, Matrix]]:
-        """Yield names, times and rows of components, all of each at once."""
-        for name in components:
-            for times, rows in self.blocks(name, first_ns=first_ns, last_ns=last_ns):
-                yield name, times, rows
 
 
 def _table(path: Path) -> FileRun:
