@@ -14,8 +14,8 @@ from cosim.version import __version__
 if TYPE_CHECKING:
     from cosim.errors import CosimWarning
     from cosim.fmi.linearizing.linearize import linearize
-    from cosim.log.comparison.diff import diff
-    from cosim.log.reading.reader import open_log
+    from cosim.log.diff import diff
+    from cosim.log.reader import open_log
     from cosim.report.certificate import certificate
     from cosim.report.comparing import compare, compare_estimators
     from cosim.scenario.assumptions.report import check_assumptions
@@ -39,13 +39,13 @@ _HOMES = {
     "compare": "cosim.report.comparing",
     "compare_estimators": "cosim.report.comparing",
     "design": "cosim.scenario.experiment_design.ranking",
-    "diff": "cosim.log.comparison.diff",
+    "diff": "cosim.log.diff",
     "identify": "cosim.scenario.running.identifying",
     "linearize": "cosim.fmi.linearizing.linearize",
     "load": "cosim.scenario.running.execution",
     "metrics": "cosim.studies.metrics",
     "model_table": "cosim.scenario.kinds.models",
-    "open_log": "cosim.log.reading.reader",
+    "open_log": "cosim.log.reader",
     "open_recording": "cosim.scenario.data_files.recording_file",
     "open_study": "cosim.studies.study",
     "read_field_data": "cosim.scenario.data_files.field_file",

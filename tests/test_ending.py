@@ -172,13 +172,13 @@ def test_a_run_returns_its_own_rows_whatever_happens_to_its_path(tmp_path, capsy
 
 def test_the_files_of_very_many_runs_are_not_held_open(tmp_path):
     """A process may keep the logs of more runs than it may have open files."""
-    from cosim.log.mcap_file import own_file
+    from cosim.log import files
 
     own_files = []
-    for number in range(own_file._MOST_HELD + 10):
+    for number in range(files._MOST_HELD + 10):
         path = tmp_path / f"{number}"
         path.write_text(f"{number}")
-        own = own_file.OwnFile(path)
+        own = files.OwnFile(path)
         own.hold(path)
         own_files.append(own)
         if number == 3:
@@ -187,7 +187,7 @@ def test_the_files_of_very_many_runs_are_not_held_open(tmp_path):
     with own_files[3].open() as stream:
         assert stream.read() == b"3"
     with own_files[-1].open() as one, own_files[-1].open() as other:
-        assert one.read() == other.read() == f"{own_file._MOST_HELD + 9}".encode()
+        assert one.read() == other.read() == f"{files._MOST_HELD + 9}".encode()
         assert one.seek(-1, os.SEEK_END) == 1
         assert one.read() == b"3"
 

@@ -165,7 +165,7 @@ def play(given: Given) -> None:
     playback was.
     """
     from cosim.live.playback import Playback
-    from cosim.log.contents.viewer_layout import LAYOUT_FILE
+    from cosim.log.viewer_layout import LAYOUT_FILE
     from cosim.scenario.recordings.recording import interruptible
 
     log = cosim.open_log(given.log)
@@ -259,16 +259,16 @@ def cat(given: Given) -> None:
     Components with several rates share one table: a row for every sampling instant, with empty
     cells (JSON Lines: omitted keys) for components without a sample there.
     """
-    from cosim.log.conversion.text import TextSource, table_text
+    from cosim.log.text import TextSource, table_text
 
     table: TextSource
     chosen = (given.signals, given.from_, given.to)
     if given.follow:
-        from cosim.log.conversion.following import FollowedLog
+        from cosim.log.following import FollowedLog
 
         table = FollowedLog(given.log, *chosen)
     else:
-        from cosim.log.conversion.choice import choose
+        from cosim.log.text import choose
 
         table = choose(cosim.open_recording(given.log), *chosen)
     lines = table_text(table, given.format)
@@ -294,8 +294,8 @@ def convert(given: Given) -> None:
     CSV and Parquet contain the rows of 'cosim cat'; .mat and .npz contain one array per signal and
     one array of times per component.
     """
-    from cosim.log.conversion.choice import choose
-    from cosim.log.conversion.files import convert as convert_log
+    from cosim.log.conversion import convert as convert_log
+    from cosim.log.text import choose
 
     recording = cosim.open_recording(given.log)
     chosen = choose(recording, given.signals, given.from_, given.to)
@@ -312,7 +312,7 @@ def cut(given: Given) -> None:
 
     The new log is marked as partial; 'cosim merge' joins such parts.
     """
-    from cosim.log.editing.spans import cut as cut_log
+    from cosim.log.spans import cut as cut_log
     from cosim.report.tables.logs import ended
 
     span = (given.from_, given.to)
@@ -333,7 +333,7 @@ def merge(given: Given) -> None:
 
     Logs of other runs, overlaps and gaps are refused.
     """
-    from cosim.log.editing.spans import merge as merge_logs
+    from cosim.log.spans import merge as merge_logs
     from cosim.report.tables.logs import ended
 
     print_text(ended(merge_logs(given.logs, given.out, force=given.force)))
@@ -345,7 +345,7 @@ def recover(given: Given) -> None:
 
     Keeps every chunk whose CRC matches, also after the damage, and shows which rows are lost.
     """
-    from cosim.log.editing.recovering import recover as recover_log
+    from cosim.log.recovering import recover as recover_log
     from cosim.report.tables.logs import show_recovery
 
     recovery = recover_log(given.log, given.out, force=given.force)

@@ -22,7 +22,7 @@ from cosim.instants import NANOSECONDS
 from cosim.live.publisher import Publisher
 from cosim.live.server import LiveServer
 from cosim.log import Log
-from cosim.log.contents.preamble import LOG_TOPIC
+from cosim.log.preamble import LOG_TOPIC
 from cosim.scenario.record import Lateness
 from cosim.scenario.running.real_time import BLOCK, RealTimePace
 

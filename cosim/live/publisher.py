@@ -11,9 +11,9 @@ from cosim.core.signals import Channel
 from cosim.instants import StepNs
 from cosim.live.connection import LiveTopic, ViewerConnection
 from cosim.live.selection import selected
-from cosim.log.contents.layout import Part, blank_records, group_columns, split_channel
-from cosim.log.contents.messages import EVENT_SCHEMA, LOG_SCHEMA, STEP_SCHEMA, MessageSchema
-from cosim.log.contents.preamble import EVENT_TOPIC, LOG_TOPIC, STEP_TOPIC, part_schemas
+from cosim.log.layout import Part, blank_records, group_columns, split_channel
+from cosim.log.messages import EVENT_SCHEMA, LOG_SCHEMA, STEP_SCHEMA, MessageSchema
+from cosim.log.preamble import EVENT_TOPIC, LOG_TOPIC, STEP_TOPIC, part_schemas
 
 # Instants that viewers are told of at once: they are never dropped, so that a slow viewer of more
 # would be disconnected. A message has its own time anyhow.

@@ -14,8 +14,8 @@ from cosim.core.recorders import Nothing
 from cosim.core.recording import MessageLevel, Plan, SignalEvent, Substep
 from cosim.live.connection import ViewerConnection
 from cosim.live.publisher import Publisher
-from cosim.log.contents.messages import encode_event, encode_log, encode_substep
-from cosim.log.contents.preamble import EVENT_TOPIC, LOG_TOPIC, STEP_TOPIC
+from cosim.log.messages import encode_event, encode_log, encode_substep
+from cosim.log.preamble import EVENT_TOPIC, LOG_TOPIC, STEP_TOPIC
 
 
 @final

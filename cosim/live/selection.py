@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from cosim.core.recorded.selection import is_pattern, select_signals
 from cosim.core.recorded.signals import find_channel
 from cosim.core.signals import Channel
-from cosim.log.contents.layout import Part
+from cosim.log.layout import Part
 
 
 def selected(

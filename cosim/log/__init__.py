@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 from cosim.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from cosim.log.contents.preamble import Attachment
-    from cosim.log.reading.reader import Log, open_log
-    from cosim.log.writing.writer import McapRecorder
+    from cosim.log.preamble import Attachment
+    from cosim.log.reader import Log, open_log
+    from cosim.log.recorder import McapRecorder
 
 _HOMES = {
-    "Attachment": "cosim.log.contents.preamble",
-    "Log": "cosim.log.reading.reader",
-    "McapRecorder": "cosim.log.writing.writer",
-    "open_log": "cosim.log.reading.reader",
+    "Attachment": "cosim.log.preamble",
+    "Log": "cosim.log.reader",
+    "McapRecorder": "cosim.log.recorder",
+    "open_log": "cosim.log.reader",
 }
 
 __all__ = ["Attachment", "Log", "McapRecorder", "open_log"]

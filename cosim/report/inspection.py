@@ -21,7 +21,7 @@ from cosim.core.recording import SignalEvent
 from cosim.core.signals import Interface
 from cosim.errors import LogError
 from cosim.instants import NANOSECONDS, step_value
-from cosim.log.contents.environment import WRITTEN
+from cosim.log.metadata import WRITTEN
 from cosim.report.certificate import certificate_of
 from cosim.report.summary import summarize
 from cosim.report.tables.console import Section

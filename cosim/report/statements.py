@@ -48,11 +48,11 @@ from cosim.core.stepping.actions import AT_CONDITION
 from cosim.documents import plain
 from cosim.errors import quoted
 from cosim.log import Log
-from cosim.log.comparison.event_difference import OF_COMPONENTS
-from cosim.log.contents.environment import environment_changes
-from cosim.log.contents.layout import signals_json
-from cosim.log.contents.result import PARTIAL_STATUS, RESULT, RESULT_FILE
-from cosim.log.contents.viewer_layout import LAYOUT_FILE
+from cosim.log.difference import OF_COMPONENTS
+from cosim.log.layout import signals_json
+from cosim.log.metadata import environment_changes
+from cosim.log.preamble import PARTIAL_STATUS, RESULT, RESULT_FILE
+from cosim.log.viewer_layout import LAYOUT_FILE
 from cosim.scenario.building.actions import recorded_designs as settings_designs
 from cosim.scenario.record import (
     EIGENVALUE_FIGURES,

@@ -29,9 +29,9 @@ from cosim.core.recorders import Memory
 from cosim.documents import plain
 from cosim.errors import CosimError, LogError, UsageError, command, flag, listing
 from cosim.log import Log, open_log
-from cosim.log.comparison.diff import diff
-from cosim.log.comparison.difference import ElementDifference, LogDifference, SignalDifference
-from cosim.log.contents.environment import environment_changes
+from cosim.log.diff import diff
+from cosim.log.difference import ElementDifference, LogDifference, SignalDifference
+from cosim.log.metadata import environment_changes
 from cosim.report.statements import Contradiction, Statements
 from cosim.scenario.record import component_record, recorded_substep_counts, replay_origin
 from cosim.scenario.recordings.recorded_scenario import recorded_document

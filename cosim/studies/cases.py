@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from cosim.errors import UsageError
 from cosim.files import file_type
-from cosim.log.conversion.parquet import need_pyarrow
+from cosim.log.conversion import need_pyarrow
 from cosim.scenario.data_files.text_table import read_texts
 from cosim.scenario.document.document import parse_value, plain
 from cosim.studies.contracts import RECORDING, SWAP

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from cosim.errors import UsageError, command, listing, option, quoted
 from cosim.files import file_type
 from cosim.log.foreign.topics import is_foreign
-from cosim.log.reading.reader import open_log
+from cosim.log.reader import open_log
 from cosim.scenario.document.document import Document
 from cosim.scenario.kinds.base import Scenario
 from cosim.scenario.recordings.recorded_scenario import recorded_document

@@ -32,7 +32,7 @@ from typing import Any, Final, NamedTuple, Self, TypeAlias, final
 import numpy as np
 
 from cosim.errors import DatasetError, command, flag, nearest, quoted
-from cosim.log.contents.metadata import read_json
+from cosim.log.metadata import read_json
 from cosim.studies.contracts import RECORDING, SWAP, MemberOutcome, StudyMember
 from cosim.studies.identity import LOG, MEMBER, StudyColumn, StudyIdentity, differences
 from cosim.studies.storage import Storage, library

@@ -15,7 +15,7 @@ from pydantic import TypeAdapter
 
 from cosim.digests import digest_of
 from cosim.errors import DatasetError, flag, quoted
-from cosim.log.contents.metadata import read_json
+from cosim.log.metadata import read_json
 from cosim.studies.contracts import MetricValue
 from cosim.version import __version__
 

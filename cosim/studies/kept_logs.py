@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cosim.errors import LogError, UsageError, listing, nearest, option
 from cosim.log import open_log
-from cosim.log.editing.recovering import recover
+from cosim.log.recovering import recover
 from cosim.studies.contracts import (
     COMPLETE,
     FAILED,

@@ -23,9 +23,9 @@ from cosim.digests import FileDigests, digest_of
 from cosim.errors import ChangedFileError, Interrupted, LogWriteError, UsageError
 from cosim.files import file_type
 from cosim.fmi.unpacked import UnpackedFmus
-from cosim.log.editing.spans import open_joined
+from cosim.log.files import part_paths
 from cosim.log.foreign.topics import is_foreign
-from cosim.log.mcap_file.rotation import part_paths
+from cosim.log.spans import open_joined
 from cosim.report.summary import results_of, summarize
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.kinds.build_record import Resources

@@ -33,7 +33,7 @@ from cosim.core.recording import Recording
 from cosim.core.signals import Channel
 from cosim.errors import UnknownSignalError, UsageError, listing, nearest, quoted
 from cosim.log import Log
-from cosim.log.editing.spans import open_joined
+from cosim.log.spans import open_joined
 from cosim.native.numerics.expression import (
     FUNCTIONS,
     ConditionProgram,

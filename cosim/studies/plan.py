@@ -16,10 +16,9 @@ from pydantic import InstanceOf, TypeAdapter
 from cosim.digests import digest_of, sha256_of, source_digest
 from cosim.errors import RunError, UsageError, listing, option
 from cosim.files import file_type
-from cosim.log.contents.environment import environment
-from cosim.log.contents.metadata import read_json
+from cosim.log.files import part_paths
 from cosim.log.foreign.topics import is_foreign
-from cosim.log.mcap_file.rotation import part_paths
+from cosim.log.metadata import environment, read_json
 from cosim.scenario.document.document import parse_value
 from cosim.scenario.kinds.base import Scenario
 from cosim.scenario.recordings.replaying import texts_in

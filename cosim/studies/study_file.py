@@ -21,7 +21,7 @@ from cosim.arguments import mapping_argument, swap_argument
 from cosim.errors import UsageError, nearest, option, quoted
 from cosim.files import expanded, file_type
 from cosim.log.foreign.topics import is_foreign
-from cosim.log.reading.reader import open_log
+from cosim.log.reader import open_log
 from cosim.scenario.building.build import read
 from cosim.scenario.document.document import (
     Document,

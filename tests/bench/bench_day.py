@@ -18,8 +18,8 @@ import numpy as np
 from cosim.core.recorders import EndOfRun
 from cosim.core.recording import Plan
 from cosim.core.signals import Channel, Interface, Layout, Signal
-from cosim.log.writing.buffer import RunContent, RunRows
-from cosim.log.writing.store import LogStore
+from cosim.log.background import RunContent, RunRows
+from cosim.log.store import LogStore
 from tests.log.writing.direct import open_store
 
 DAY = 86_400  # s

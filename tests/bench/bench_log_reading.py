@@ -23,8 +23,7 @@ from mcap.reader import make_reader
 from cosim.core.contracts import Block
 from cosim.core.recording import Plan
 from cosim.core.signals import Channel, Interface, Layout, Signal
-from cosim.log import McapRecorder, open_log
-from cosim.log.reading import container
+from cosim.log import McapRecorder, container, open_log
 
 COMPONENTS = 20
 WIDTH = 4

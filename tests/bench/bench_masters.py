@@ -33,7 +33,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from cosim.log.contents.environment import environment
+from cosim.log.metadata import environment
 from tests.bench.masters.cases import CONTENDERS, FLOOR, Case, FmuCase
 from tests.bench.masters.core_cases import core_cases
 from tests.bench.masters.environments import Result, Unavailable, run

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.log.contents.viewer_layout import LAYOUT_FILE
+from cosim.log.viewer_layout import LAYOUT_FILE
 from tests.live.viewer import Viewer, fields
 
 MAIN = "from cosim.cli import main; main()"

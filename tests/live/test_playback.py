@@ -15,7 +15,7 @@ from cosim.live import LiveServer, play
 from cosim.live import playback as playing
 from cosim.live.playback import Playback
 from cosim.log import McapRecorder
-from cosim.log.contents.messages import encode_event, encode_log
+from cosim.log.messages import encode_event, encode_log
 from tests.live.viewer import Viewer, fields
 from tests.log.recordings import STEP_NS, blocks, layout, make_chunks_small, plan, table
 

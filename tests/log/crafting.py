@@ -8,8 +8,8 @@ import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from cosim.log.contents.layout import copy_values, record_dtype
-from cosim.log.mcap_file.checksum import CHECKSUM, add_checksum
+from cosim.log.checksum import CHECKSUM, add_checksum
+from cosim.log.layout import copy_values, record_dtype
 
 
 @dataclass

@@ -6,7 +6,7 @@ import errno
 import io
 import os
 
-from cosim.log.mcap_file.live_file import PAGE
+from cosim.log.live_file import PAGE
 
 
 class FullDisk(io.FileIO):

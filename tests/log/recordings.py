@@ -11,10 +11,8 @@ from mcap.reader import make_reader
 from cosim.core.contracts import Block
 from cosim.core.recording import Plan
 from cosim.core.signals import Channel, Interface, Layout, Signal
-from cosim.log import McapRecorder
-from cosim.log.mcap_file import chunks
-from cosim.log.mcap_file.rotation import Rotation, part_paths
-from cosim.log.writing import encoding, store
+from cosim.log import McapRecorder, chunks, store
+from cosim.log.files import Rotation, part_paths
 
 STEP_NS = 1_000_000
 LATE = Rotation(None, 300 * STEP_NS, "0.3s")  # three whole files and a shorter one of 1000 steps
@@ -108,9 +106,9 @@ def record(path, *, steps=1000, size=100, lay=None, rows=None, messages=(), **op
 
 def make_chunks_small(monkeypatch, size):
     """Let chunks, and flushes that are full, have about ``size`` bytes of records."""
-    for module in (chunks, encoding, store):
+    for module in (chunks, store):
         monkeypatch.setattr(module, "CHUNK_BYTES", size)
-    monkeypatch.setattr(encoding, "_CHANNEL_BYTES", 0)
+    monkeypatch.setattr(store, "_CHANNEL_BYTES", 0)
 
 
 def numbered(times):

@@ -21,7 +21,7 @@ from mcap.reader import make_reader
 
 import cosim
 from cosim.log import open_log
-from cosim.log.contents.content import hash_input
+from cosim.log.metadata import hash_input
 from cosim.scenario.document.document import shipped
 from tests.log.decoding import message_class
 from tests.log.mcap_file.killed import Job, killed_run, whole_run

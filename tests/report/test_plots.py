@@ -11,7 +11,7 @@ import pytest
 import cosim
 from cosim.errors import UsageError
 from cosim.log import open_log
-from cosim.log.comparison.diff import diff
+from cosim.log.diff import diff
 from cosim.report.plots import runs
 from cosim.report.plots.picture import PictureOptions
 from cosim.report.plots.runs import (

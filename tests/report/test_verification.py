@@ -8,8 +8,8 @@ import pytest
 import cosim
 from cosim.errors import CosimError, LogError, RunError, UsageError
 from cosim.log import open_log
-from cosim.log.comparison.difference import ElementDifference
-from cosim.log.editing.spans import cut
+from cosim.log.difference import ElementDifference
+from cosim.log.spans import cut
 from cosim.report.statements import Statements
 from cosim.report.verification import verify
 from cosim.scenario.document.document import shipped

@@ -14,7 +14,7 @@ from types import SimpleNamespace
 from typing import Any, Final, NamedTuple, TypeAlias
 
 from cosim.instants import NANOSECONDS
-from cosim.log.foreign.decoded_format import DecodedFormat
+from cosim.log.foreign.decoding import DecodedFormat
 from cosim.log.foreign.fields import FieldProblem, StampNs
 from cosim.log.foreign.topics import ForeignSchema
 

@@ -11,9 +11,14 @@ import numpy as np
 
 from cosim.errors import LogError
 from cosim.log.foreign.fields import FieldProblem, field_text
-from cosim.log.foreign.formats import listed_fields
-from cosim.log.foreign.spacing import Spacing, spacing_of
-from cosim.log.foreign.topics import ForeignChannel, read_channels, read_messages
+from cosim.log.foreign.samples import listed_fields
+from cosim.log.foreign.topics import (
+    ForeignChannel,
+    Spacing,
+    read_channels,
+    read_messages,
+    spacing_of,
+)
 
 
 @dataclass(frozen=True, slots=True)

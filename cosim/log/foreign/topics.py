@@ -1,4 +1,7 @@
-"""The topics of an MCAP file of another tool, and its messages in one pass."""
+"""The topics of an MCAP file of another tool, and its messages in one pass.
+
+The times of the messages of a topic: their order, repeated instants, and the largest gap.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +11,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
 
+import numpy as np
 from mcap import records
 from mcap.opcode import Opcode
+from numpy.typing import NDArray
 
 from cosim.errors import LogError
-from cosim.log.mcap_file.paths import open_file
-from cosim.log.mcap_file.places import (
+from cosim.instants import NANOSECONDS
+from cosim.log.container import Container
+from cosim.log.files import open_file
+from cosim.log.places import (
     MALFORMED,
     OWN_LIBRARY,
     library_of,
@@ -21,7 +28,81 @@ from cosim.log.mcap_file.places import (
     read_summary,
     records_in,
 )
-from cosim.log.reading.container import Container
+
+Instants = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Spacing:
+    """Messages in time.
+
+    Parameters
+    ----------
+    count : int
+    first_ns, last_ns : int
+        Earliest and latest time.
+    late : int
+        Messages that stand after one of a later time.
+    repeated : int
+        Messages of an instant that a later one in the file has, too.
+    median_ns, largest_ns : int
+        Distances of instants that follow each other; 0: there is one instant.
+    largest_at_ns : int
+        Where the largest distance begins, the first of several.
+    """
+
+    count: int
+    first_ns: int
+    last_ns: int
+    late: int
+    repeated: int
+    median_ns: int
+    largest_ns: int
+    largest_at_ns: int
+
+    @property
+    def rate(self) -> float | None:
+        """Messages per second at the median distance [Hz]; None: there is one instant."""
+        return NANOSECONDS / self.median_ns if self.median_ns else None
+
+    def disorder_text(self) -> str:
+        """Return what is wrong with the order of the messages; empty: nothing is."""
+        texts = []
+        if self.late:
+            texts.append(f"{self.late} of {self.count} messages out of order, sorted by time")
+        if self.repeated:
+            texts.append(
+                f"{self.repeated} of {self.count} messages dropped: a later one in the file has "
+                "the same time"
+            )
+        return "; ".join(texts)
+
+
+def spacing_of(stamps: Instants) -> Spacing:
+    """Return how messages lie in time.
+
+    Parameters
+    ----------
+    stamps : Instants, shape (N,)
+        Their times in the order of the file [ns], at least one.
+    """
+    late = int(np.count_nonzero(stamps < np.maximum.accumulate(stamps)))
+    instants = np.unique(stamps)
+    repeated = len(stamps) - len(instants)
+    # unsigned: between the ends of int64 lie more than it has
+    gaps = np.diff(instants.view(np.uint64))
+    place = int(gaps.argmax()) if len(gaps) else 0
+    return Spacing(
+        len(stamps),
+        int(instants[0]),
+        int(instants[-1]),
+        late,
+        repeated,
+        int(np.median(gaps)) if len(gaps) else 0,
+        int(gaps[place]) if len(gaps) else 0,
+        int(instants[place]),
+    )
+
 
 OWN_METADATA: Final = "cosim.run"
 _MESSAGE: Final = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time

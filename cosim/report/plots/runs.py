@@ -18,7 +18,7 @@ from cosim.core.port import Port, named_ports
 from cosim.core.recorded.selection import split_names
 from cosim.core.recording import Recording
 from cosim.errors import UsageError
-from cosim.log.comparison.difference import LogDifference
+from cosim.log.difference import LogDifference
 from cosim.report.plots.picture import (
     COLORS,
     DASHES,

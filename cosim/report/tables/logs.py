@@ -9,16 +9,15 @@ from typing import TYPE_CHECKING, Final, TypeGuard
 from cosim.core.recorded.signals import warning_texts
 from cosim.instants import NANOSECONDS
 from cosim.log import Log
-from cosim.log.contents.result import PARTIAL, PARTIAL_STATUS
-from cosim.log.mcap_file.rotation import part_paths
+from cosim.log.files import part_paths
+from cosim.log.preamble import PARTIAL, PARTIAL_STATUS
 from cosim.report.printable import print_notice
 from cosim.report.tables.console import Section, Shown, new_table
 from cosim.scenario.record import component_record
 
 if TYPE_CHECKING:
-    from cosim.log.comparison.difference import LogDifference
-    from cosim.log.comparison.event_difference import EventsDifference
-    from cosim.log.editing.recovering import RecoveredLog
+    from cosim.log.difference import EventsDifference, LogDifference
+    from cosim.log.recovering import RecoveredLog
     from cosim.report.verification import Verification
 
 _MOST_INTERVALS: Final = 8  # of a component that are shown

@@ -56,7 +56,7 @@ from cosim.errors import (
     nearest,
     quoted,
 )
-from cosim.log.contents.metadata import decode_design
+from cosim.log.metadata import decode_design
 from cosim.native.numerics.expression import compile_condition
 from cosim.scenario.document.places import Key, Problem
 from cosim.scenario.document.problems import TableProblems, problems_in, problems_of

@@ -16,7 +16,7 @@ from cosim.core.recording import Plan, SignalEvent
 from cosim.core.signals import Channel
 from cosim.core.stepping.actions import AT_CONDITION, Action, ConditionalAction, TimedAction
 from cosim.instants import step_value
-from cosim.log.contents.metadata import encode_design
+from cosim.log.metadata import encode_design
 from cosim.scenario.kinds.base import BuildContext, Scenario
 from cosim.scenario.kinds.capabilities import GivenStates
 from cosim.scenario.kinds.identified_plant import IdentifiedPlant

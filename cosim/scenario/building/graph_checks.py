@@ -26,7 +26,7 @@ from cosim.errors import (
     quoted,
 )
 from cosim.instants import step_seconds
-from cosim.log.contents.metadata import json_table
+from cosim.log.metadata import json_table
 from cosim.scenario.document.places import Problem
 from cosim.scenario.document.schema import File, Settings
 from cosim.scenario.kinds.base import Scenario

@@ -53,7 +53,7 @@ from cosim.units import base_unit, unknown_unit
 
 if TYPE_CHECKING:
     from cosim.log.foreign.samples import FieldSamples
-    from cosim.log.foreign.spacing import Instants, Spacing
+    from cosim.log.foreign.topics import Instants, Spacing
 
 MOST_VALUES: Final = 2**26  # of all signals at all times
 _MOST_NS: Final = 2**63

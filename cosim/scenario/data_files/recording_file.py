@@ -22,7 +22,7 @@ from cosim.instants import NANOSECONDS
 from cosim.log.foreign.samples import read_fields
 from cosim.log.foreign.survey import survey
 from cosim.log.foreign.topics import is_foreign
-from cosim.log.reading.reader import open_log
+from cosim.log.reader import open_log
 from cosim.scenario.data_files.field_file import field_data
 
 TABLE: Final = "table"  # the component of columns that name none

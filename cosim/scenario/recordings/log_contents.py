@@ -27,8 +27,8 @@ from cosim.documents import plain
 from cosim.errors import FmuError, UnknownSignalError, flag
 from cosim.files import read_bounded
 from cosim.log import Attachment
-from cosim.log.contents.viewer_layout import LAYOUT_FILE, ViewerPanel, layout_json, output_panels
-from cosim.log.mcap_file.places import MOST_ATTACHED
+from cosim.log.places import MOST_ATTACHED
+from cosim.log.viewer_layout import LAYOUT_FILE, ViewerPanel, layout_json, output_panels
 from cosim.scenario.building.actions import SETTINGS
 from cosim.scenario.building.build import asks_for_means
 from cosim.scenario.building.experiment import Experiment, fingerprint

@@ -23,8 +23,8 @@ from cosim.core.recording import CompleteRecording
 from cosim.errors import FmuError, LogError, UsageError, command, flag, listing, quoted
 from cosim.files import read_bounded
 from cosim.log import Log
-from cosim.log.contents.metadata import json_table
-from cosim.log.contents.result import PARTIAL_STATUS
+from cosim.log.metadata import json_table
+from cosim.log.preamble import PARTIAL_STATUS
 from cosim.scenario.building.build import read
 from cosim.scenario.document.document import Document
 from cosim.scenario.kinds import KINDS, Kind

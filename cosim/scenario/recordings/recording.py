@@ -28,12 +28,11 @@ from cosim.errors import Interrupted, LogError, RunError, UsageError, flag, opti
 from cosim.files import file_type
 from cosim.interrupts import REASONS
 from cosim.log import Log, McapRecorder
-from cosim.log.contents.result import PARTIAL_STATUS
-from cosim.log.mcap_file.paths import log_path
-from cosim.log.mcap_file.rotation import Rotation
-from cosim.log.mcap_file.unfinished import UnfinishedLog
-from cosim.log.writing.background import FLUSH_INTERVAL
-from cosim.log.writing.replaced_parts import check_no_parts
+from cosim.log.background import FLUSH_INTERVAL
+from cosim.log.files import Rotation, log_path
+from cosim.log.preamble import PARTIAL_STATUS
+from cosim.log.store import check_no_parts
+from cosim.log.unfinished import UnfinishedLog
 from cosim.native.fmi.process import report_log
 from cosim.scenario.building.build import Builder
 from cosim.scenario.building.coupling import with_loop_gains

@@ -34,7 +34,7 @@ from cosim.core.signals import Layout
 from cosim.core.structure.cycles import strongly_connected
 from cosim.errors import LogError, UsageError, command, flag, listing, nearest, quoted
 from cosim.instants import step_seconds
-from cosim.log.contents.metadata import json_table
+from cosim.log.metadata import json_table
 from cosim.scenario.kinds import Kind
 from cosim.scenario.kinds.base import Scenario
 

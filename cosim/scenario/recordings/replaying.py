@@ -23,8 +23,8 @@ from cosim.core.structure.cycles import reached_from
 from cosim.errors import LogError, ScenarioError, UsageError, option
 from cosim.instants import NANOSECONDS, step_value
 from cosim.log import Log
-from cosim.log.comparison.event_difference import OF_COMPONENTS
-from cosim.log.contents.metadata import decode_design
+from cosim.log.difference import OF_COMPONENTS
+from cosim.log.metadata import decode_design
 from cosim.scenario.building.build import Builder, read
 from cosim.scenario.building.experiment import Experiment, fingerprint
 from cosim.scenario.document.document import Document, short, shown

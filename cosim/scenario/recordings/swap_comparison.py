@@ -22,7 +22,7 @@ from cosim.core.recording import CompleteRecording
 from cosim.core.signals import Interface
 from cosim.errors import CosimError, ScenarioError
 from cosim.fmi.description import INTERFACE_TYPE_NAMES
-from cosim.log.contents.metadata import json_table
+from cosim.log.metadata import json_table
 from cosim.scenario.building.build import Builder, read
 from cosim.scenario.building.coupling import with_loop_gains
 from cosim.scenario.building.experiment import Experiment, warnings_among

@@ -27,8 +27,8 @@ from cosim.core.recording import Recorder
 from cosim.core.simulation import Simulation
 from cosim.errors import UsageError, option, quoted, warn
 from cosim.log import Log
-from cosim.log.mcap_file.rotation import read_rotation
-from cosim.log.writing.background import FLUSH_INTERVAL
+from cosim.log.background import FLUSH_INTERVAL
+from cosim.log.files import read_rotation
 from cosim.options import OF_A_LOG, OF_A_RECORDER, STEP_IS_CHOSEN, check_rules
 from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import Document, find

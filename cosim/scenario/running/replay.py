@@ -24,10 +24,9 @@ from cosim.core.recorded.signals import warning_texts
 from cosim.core.recorders import Memory
 from cosim.errors import UsageError, flag, option, warn
 from cosim.log import Log
-from cosim.log.editing.spans import open_joined
+from cosim.log.files import all_parts, log_path
 from cosim.log.foreign.topics import is_foreign
-from cosim.log.mcap_file.paths import log_path
-from cosim.log.mcap_file.rotation import all_parts
+from cosim.log.spans import open_joined
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.swaps import PortNames, WrittenPorts, ports_in
 from cosim.scenario.kinds.base import Scenario

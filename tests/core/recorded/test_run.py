@@ -10,7 +10,7 @@ import cosim
 from cosim.core.recorded.run import span_ns
 from cosim.core.recorders import Memory
 from cosim.errors import LogError, UnknownSignalError, UsageError
-from cosim.log.comparison.diff import diff
+from cosim.log.diff import diff
 from cosim.scenario.document.document import find
 from tests.log.recordings import STEP_NS, plan, same_bits
 

@@ -7,7 +7,7 @@ import pytest
 
 from cosim.core.signals import Channel, Interface, Signal
 from cosim.errors import UsageError
-from cosim.log.comparison.diff import diff
+from cosim.log.diff import diff
 from tests.log.comparison.runs import Run
 from tests.log.recordings import STEP_NS
 

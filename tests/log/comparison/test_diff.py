@@ -13,8 +13,8 @@ from cosim.core.recording import Plan
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import LogError
 from cosim.log import open_log
-from cosim.log.comparison.diff import diff
-from cosim.log.comparison.difference import ElementDifference
+from cosim.log.diff import diff
+from cosim.log.difference import ElementDifference
 from tests.log.comparison.runs import Run
 from tests.log.recordings import STEP_NS, layout, record
 

@@ -9,8 +9,8 @@ import pytest
 
 from cosim.core.recording import SignalEvent
 from cosim.errors import LogError
-from cosim.log.comparison.diff import diff
-from cosim.log.comparison.event_difference import (
+from cosim.log.diff import diff
+from cosim.log.difference import (
     ElementEvent,
     ElementEventDifference,
     EventsDifference,

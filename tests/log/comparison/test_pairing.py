@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.errors import LogError
-from cosim.log.comparison import pairing
-from cosim.log.comparison.pairing import windows
+from cosim.log import signal_comparison
+from cosim.log.signal_comparison import windows
 from tests.log.recordings import numbered
 
 
@@ -60,7 +60,7 @@ def test_windows_pair_what_stands_at_the_same_instant(a, b):
 
 def test_rows_of_one_instant_are_bounded(monkeypatch):
     """They must be in memory together."""
-    monkeypatch.setattr(pairing, "MOST_ROWS", 10)
+    monkeypatch.setattr(signal_comparison, "MOST_ROWS", 10)
     run = ([3] * 40, list(range(2, 40, 2)))
     with pytest.raises(LogError, match=r"more than 10 rows at t = 3e-09 s: too many"):
         list(windows(blocks(run), blocks(run)))

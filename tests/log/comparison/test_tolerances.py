@@ -7,8 +7,8 @@ import pytest
 
 from cosim.errors import UnknownSignalError, UsageError
 from cosim.log import open_log
-from cosim.log.comparison.diff import diff
-from cosim.log.comparison.tolerances import Tolerances
+from cosim.log.diff import diff
+from cosim.log.signal_comparison import Tolerances
 from tests.log.recordings import layout, record, table
 
 

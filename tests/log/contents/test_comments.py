@@ -10,9 +10,9 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.log import Log, McapRecorder
-from cosim.log.contents.layout import read_part, signals_json, split_channel
-from cosim.log.contents.preamble import part_schema
-from cosim.log.mcap_file.checksum import add_checksum
+from cosim.log.checksum import add_checksum
+from cosim.log.layout import read_part, signals_json, split_channel
+from cosim.log.preamble import part_schema
 from tests.log.crafting import without_checksum
 from tests.log.recordings import blocks, plan, same_bits, table
 

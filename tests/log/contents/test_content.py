@@ -7,7 +7,7 @@ import json
 import struct
 
 from cosim.log import open_log
-from cosim.log.contents.content import combine_hashes
+from cosim.log.metadata import combine_hashes
 from tests.log.crafting import put_together, take_apart
 
 

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from cosim.core.signals import Channel, Interface, Signal
 from cosim.errors import GraphError
-from cosim.log.contents.layout import (
+from cosim.log.checksum import add_checksum
+from cosim.log.layout import (
     blank_records,
     copy_values,
     group_columns,
@@ -22,8 +23,7 @@ from cosim.log.contents.layout import (
     signals_json,
     split_channel,
 )
-from cosim.log.contents.schema import component_schema
-from cosim.log.mcap_file.checksum import add_checksum
+from cosim.log.schema import component_schema
 from cosim.units import BASE, BaseUnit
 from tests.log.crafting import without_checksum
 from tests.log.decoding import message_class

@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 from cosim.core.contracts import Block
 from cosim.core.recording import SignalEvent, Substep
 from cosim.log import Log, McapRecorder
-from cosim.log.contents.messages import (
+from cosim.log.messages import (
     decode_event,
     decode_log,
     decode_substep,

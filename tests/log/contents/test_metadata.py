@@ -6,8 +6,8 @@ import json
 
 import pytest
 
-from cosim.log.contents.metadata import decode_design, encode_design
-from cosim.log.mcap_file.checksum import add_checksum, verify_checksum
+from cosim.log.checksum import add_checksum, verify_checksum
+from cosim.log.metadata import decode_design, encode_design
 from tests.log.recordings import plan, same_bits
 
 

@@ -1,6 +1,6 @@
 """Where the rows of a run begin is the start time, or that of the span that a replay recorded."""
 
-from cosim.log.contents.run_start import recorded_start_ns
+from cosim.log.metadata import recorded_start_ns
 
 
 def test_the_start_is_read_from_the_record_of_the_run():

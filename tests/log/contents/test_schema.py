@@ -9,11 +9,11 @@ from google.protobuf import json_format
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim.log.contents.layout import (
+from cosim.log.layout import (
     blank_records,
     group_columns,
 )
-from cosim.log.contents.schema import component_schema, identifiers
+from cosim.log.schema import component_schema, identifiers
 from tests.log.decoding import message_class
 
 MESSAGE_HEADER = 31  # bytes before the protobuf message

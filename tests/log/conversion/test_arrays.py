@@ -13,8 +13,8 @@ from cosim.core.recorders import Memory
 from cosim.core.recording import Plan
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import UsageError
-from cosim.log.conversion.choice import LogChoice
-from cosim.log.conversion.files import convert
+from cosim.log.conversion import convert
+from cosim.log.text import LogChoice
 from tests.log.recordings import STEP_NS, same_bits
 
 SLICES = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from cosim.errors import UnknownSignalError, UsageError
-from cosim.log.conversion.choice import choose
+from cosim.log.text import choose
 
 
 def test_a_choice_of_unknown_signals_or_no_time_is_refused(recorded):

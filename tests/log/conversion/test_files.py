@@ -13,8 +13,8 @@ from scipy.io import loadmat
 import cosim
 from cosim.errors import LogError, UsageError
 from cosim.log import open_log
-from cosim.log.conversion.choice import LogChoice, choose
-from cosim.log.conversion.files import ENDINGS, convert
+from cosim.log.conversion import ENDINGS, convert
+from cosim.log.text import LogChoice, choose
 from cosim.scenario.data_files.field_file import read_field_data
 from tests.log.recordings import record
 
@@ -124,7 +124,7 @@ def test_a_full_disk_is_reported(recorded, tmp_path, monkeypatch):
     def fail(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("cosim.log.conversion.files.write_npz", fail)
+    monkeypatch.setattr("cosim.log.conversion.write_npz", fail)
     with pytest.raises(LogError, match=r"a\.npz cannot be written: No space left on device"):
         convert(LogChoice.of(log), tmp_path / "a.npz")
     assert list(tmp_path.iterdir()) == []

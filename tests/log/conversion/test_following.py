@@ -11,11 +11,10 @@ import pytest
 
 from cosim.errors import LogError
 from cosim.log import McapRecorder, open_log
-from cosim.log.conversion.choice import choose
-from cosim.log.conversion.following import FollowedLog
-from cosim.log.conversion.text import csv_text
-from cosim.log.mcap_file.rotation import Rotation
-from cosim.log.mcap_file.unfinished import UnfinishedLog
+from cosim.log.files import Rotation
+from cosim.log.following import FollowedLog
+from cosim.log.text import choose, csv_text
+from cosim.log.unfinished import UnfinishedLog
 from tests.log.recordings import STEP_NS, blocks, layout, plan, record, same_bits, table
 
 STEPS = 600

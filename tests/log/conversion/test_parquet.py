@@ -8,8 +8,8 @@ import pyarrow.parquet
 import pytest
 
 from cosim.errors import UsageError
-from cosim.log.conversion.choice import LogChoice
-from cosim.log.conversion.files import convert
+from cosim.log.conversion import convert
+from cosim.log.text import LogChoice
 from tests.log.recordings import same_bits
 
 

@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 from cosim.core.signals import Channel, Interface, Signal
 from cosim.errors import UsageError
 from cosim.log import open_log
-from cosim.log.conversion.choice import LogChoice
-from cosim.log.conversion.text import exact_seconds, table_text
+from cosim.log.text import LogChoice, exact_seconds, table_text
 from cosim.scenario.data_files.field_file import read_field_data
 from tests.log.recordings import STEP_NS, layout, record, same_bits, table
 

@@ -10,7 +10,7 @@ from mcap.writer import IndexType
 import cosim
 from cosim.errors import LogError, UsageError
 from cosim.log import open_log
-from cosim.log.editing.spans import cut, merge
+from cosim.log.spans import cut, merge
 from cosim.report.verification import verify
 from tests.log.crafting import put_together, take_apart
 from tests.log.recordings import STEP_NS, record, same_bits

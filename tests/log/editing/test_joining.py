@@ -12,7 +12,7 @@ import pytest
 import cosim
 from cosim.errors import LogError, UsageError
 from cosim.log import open_log
-from cosim.log.editing.spans import merge, open_joined
+from cosim.log.spans import merge, open_joined
 from cosim.report.verification import verify
 from tests.log.crafting import change_rows, put_together, take_apart
 

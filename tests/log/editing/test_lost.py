@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cosim.instants import Grid
-from cosim.log.editing.recovering import Interval, missing_rows
+from cosim.log.recovering import Interval, missing_rows
 
 
 def test_missing_rows_are_named_by_their_instants():

@@ -7,7 +7,7 @@ import pytest
 import cosim
 from cosim.errors import LogError, UsageError
 from cosim.log import open_log
-from cosim.log.editing.spans import cut, merge
+from cosim.log.spans import cut, merge
 from tests.log.crafting import put_together, take_apart
 from tests.log.recordings import layout, record, same_bits, table
 

@@ -16,11 +16,10 @@ from mcap.reader import make_reader
 
 import cosim
 from cosim.errors import LogError
-from cosim.log import open_log
-from cosim.log.editing.recovering import Interval, recover
-from cosim.log.editing.spans import cut
-from cosim.log.mcap_file.places import searched
-from cosim.log.writing import encoding
+from cosim.log import open_log, store
+from cosim.log.places import searched
+from cosim.log.recovering import Interval, recover
+from cosim.log.spans import cut
 from tests.log.crafting import put_together, take_apart
 from tests.log.recordings import STEP_NS, layout, make_chunks_small, record, same_bits, table
 
@@ -216,7 +215,7 @@ def test_rows_of_a_component_of_many_channels_are_whole_or_lost(tmp_path, monkey
     lay = layout(wide=5000)
     rows = table(lay, 150)
     for flush in (2**19, 2**20):
-        monkeypatch.setattr(encoding, "_CHANNEL_BYTES", flush)
+        monkeypatch.setattr(store, "_CHANNEL_BYTES", flush)
         path = tmp_path / f"{flush}.mcap"
         record(path, lay=lay, rows=rows)
         data = bytearray(path.read_bytes())

@@ -126,7 +126,7 @@ def test_a_damaged_summary_is_refused(plain):
 
 def test_a_large_message_is_refused(tmp_path, monkeypatch):
     """Outside of chunks, where a length may say anything."""
-    monkeypatch.setattr("cosim.log.reading.container.MOST_BYTES", 1000)
+    monkeypatch.setattr("cosim.log.container.MOST_BYTES", 1000)
     rows = [(EPOCH, {"x": 1, "text": "x" * 2000})]
     path = write_json(tmp_path / "log.mcap", {"/t": rows}, use_chunking=False)
     with pytest.raises(LogError, match=r"a record of \d+ bytes .*1000"):

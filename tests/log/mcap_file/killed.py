@@ -18,11 +18,9 @@ from mcap import records
 from mcap.reader import NonSeekingReader, make_reader
 
 from cosim.core.recorders import EndOfRun
-from cosim.log import McapRecorder, open_log
-from cosim.log.mcap_file.live_file import PAGE
-from cosim.log.mcap_file.records import HEADER, encoded, record_header
-from cosim.log.mcap_file.summary import IndexEntry, RecordGroup
-from cosim.log.writing import store
+from cosim.log import McapRecorder, open_log, store
+from cosim.log.live_file import PAGE
+from cosim.log.mcap_records import HEADER, IndexEntry, RecordGroup, encoded, record_header
 from tests.log.recordings import STEP_NS, blocks, layout, plan, same_bits
 from tests.log.writing.direct import content, open_store
 

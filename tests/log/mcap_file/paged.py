@@ -11,9 +11,8 @@ from dataclasses import dataclass, field
 from mcap import records
 from mcap.reader import NonSeekingReader, make_reader
 
-from cosim.log.mcap_file.live_file import PAGE, LiveFile
-from cosim.log.mcap_file.records import MAGIC, encoded
-from cosim.log.mcap_file.summary import FileSummary, IndexEntry, RecordGroup
+from cosim.log.live_file import PAGE, LiveFile
+from cosim.log.mcap_records import MAGIC, FileSummary, IndexEntry, RecordGroup, encoded
 
 
 class PagedStream(io.RawIOBase):

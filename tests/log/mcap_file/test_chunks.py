@@ -7,7 +7,7 @@ from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.reader import make_reader
 from mcap.records import Chunk, MessageIndex
 
-from cosim.log.contents.messages import decode_log
+from cosim.log.messages import decode_log
 from tests.log.recordings import (
     STEP_NS,
     make_chunks_small,

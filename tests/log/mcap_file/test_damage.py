@@ -13,9 +13,9 @@ import pytest
 from cosim.core.recorders import EndOfRun
 from cosim.errors import LogError
 from cosim.log import Attachment, open_log
-from cosim.log.contents.messages import encode_log
-from cosim.log.mcap_file.records import MAGIC
-from cosim.log.writing.buffer import WaitingMessage
+from cosim.log.background import WaitingMessage
+from cosim.log.mcap_records import MAGIC
+from cosim.log.messages import encode_log
 from tests.log.mcap_file.paged import PagedStream
 from tests.log.recordings import STEP_NS, layout, make_chunks_small, plan, table
 from tests.log.writing.direct import content, open_store

@@ -11,7 +11,7 @@ import pytest
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
-from cosim.log.mcap_file import live_file
+from cosim.log import live_file
 from tests.log.mcap_file.paged import Recording, count_rows
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from cosim.errors import UsageError
-from cosim.log.mcap_file.rotation import read_rotation
+from cosim.log.files import read_rotation
 
 
 def test_sizes_and_times_are_read():

@@ -17,10 +17,7 @@ import pytest
 
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import GraphError, Interrupted, LogError, LogWriteError, NonFiniteError
-from cosim.log import McapRecorder, open_log
-from cosim.log.mcap_file import unfinished
-from cosim.log.reading import container
-from cosim.log.writing import writer
+from cosim.log import McapRecorder, container, open_log, recorder, unfinished
 from tests.log.disks import FullDisk
 from tests.log.recordings import (
     STEP_NS,
@@ -179,7 +176,7 @@ def test_an_interrupt_in_begin_leaves_no_trace(path, force, monkeypatch, subtest
             raise error
 
         with monkeypatch.context() as patch, subtests.test(case=(function, error)):
-            patch.setattr(writer, function, interrupt)
+            patch.setattr(recorder, function, interrupt)
             with pytest.raises(type(error)):
                 attempt(path, force)
             assert untouched(path, force)

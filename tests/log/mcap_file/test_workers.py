@@ -5,7 +5,7 @@ from contextlib import closing
 
 import pytest
 
-from cosim.log.mcap_file.workers import AHEAD, Workers
+from cosim.log.chunks import AHEAD, Workers
 
 
 def test_results_come_in_the_order_of_the_work():

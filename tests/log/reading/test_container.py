@@ -13,7 +13,7 @@ from mcap.writer import Writer
 
 from cosim.errors import LogError
 from cosim.log import open_log
-from cosim.log.mcap_file.compression import MOST_BYTES
+from cosim.log.chunks import MOST_BYTES
 from tests.log.crafting import put_together, rewrite, take_apart
 
 

@@ -15,10 +15,9 @@ from cosim.core.recorders import Memory
 from cosim.core.recording import Recording
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import LogError, UsageError
-from cosim.log import McapRecorder, open_log
-from cosim.log.comparison.diff import diff
-from cosim.log.contents import preamble
-from cosim.log.reading import reader as log_reader
+from cosim.log import McapRecorder, open_log, preamble
+from cosim.log import reader as log_reader
+from cosim.log.diff import diff
 from tests.log.crafting import put_together, rewrite, rows_of_plant, take_apart
 from tests.log.recordings import (
     STEP_NS,

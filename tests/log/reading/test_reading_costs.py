@@ -14,9 +14,8 @@ import pytest
 from mcap.reader import make_reader
 
 from cosim.core.signals import Channel, Interface, Layout, Signal
-from cosim.log import McapRecorder, open_log
-from cosim.log.reading import container
-from cosim.log.reading import rows as log_rows
+from cosim.log import McapRecorder, container, open_log
+from cosim.log import rows as log_rows
 from cosim.report.inspection import describe_log
 from tests.log.recordings import STEP_NS, blocks, many, plan, record, same_bits, table
 
@@ -175,7 +174,7 @@ def test_the_cost_to_read_a_component_does_not_grow(tmp_path):
 CHILD = """
 import resource, sys
 from cosim.log import open_log
-from cosim.log.comparison.diff import diff
+from cosim.log.diff import diff
 from cosim.report.inspection import describe_log
 path, small = sys.argv[1:]
 def peak():

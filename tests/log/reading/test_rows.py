@@ -10,10 +10,10 @@ import pytest
 from mcap.reader import make_reader
 
 from cosim.errors import LogError
+from cosim.log import container as log_container
 from cosim.log import open_log
-from cosim.log.mcap_file.workers import AHEAD
-from cosim.log.reading import container as log_container
-from cosim.log.reading import rows as log_rows
+from cosim.log import rows as log_rows
+from cosim.log.chunks import AHEAD
 from tests.log.crafting import put_together, take_apart
 from tests.log.recordings import (
     STEP_NS,

@@ -11,8 +11,8 @@ from cosim.core.contracts import Block
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import LogError
 from cosim.log import McapRecorder, open_log
-from cosim.log.comparison.diff import diff
-from cosim.log.reading import rows as log_rows
+from cosim.log import rows as log_rows
+from cosim.log.diff import diff
 from tests.log.crafting import put_together, rows_of_plant, take_apart
 from tests.log.recordings import (
     STEP_NS,
@@ -34,7 +34,7 @@ def test_a_diff_in_pieces_is_the_diff_as_a_whole(tmp_path, monkeypatch):
     tolerances = (0.0, 0.5)
     whole = [diff(open_log(a), open_log(b), rtol=rtol) for rtol in tolerances]
     monkeypatch.setattr(log_rows, "_MOST_WHOLE", 0)
-    monkeypatch.setattr("cosim.log.reading.rows._ROWS", 37)
+    monkeypatch.setattr("cosim.log.rows._ROWS", 37)
     assert [diff(open_log(a), open_log(b), rtol=rtol) for rtol in tolerances] == whole
     assert json.dumps(whole[0].to_dict())
     assert diff(open_log(a), open_log(a)).equal
@@ -71,7 +71,7 @@ def test_both_limits_of_a_jump_are_streamed(tmp_path, monkeypatch):
         recorder.write(Block(0, times, times / 1e9, STEP_NS / 1e9), np.arange(7.0)[:, np.newaxis])
     whole = diff(open_log(tmp_path / "a.mcap"), open_log(tmp_path / "a.mcap"))
     for size in (1, 2, 3):
-        monkeypatch.setattr("cosim.log.reading.rows._ROWS", size)
+        monkeypatch.setattr("cosim.log.rows._ROWS", size)
         monkeypatch.setattr(log_rows, "_MOST_WHOLE", 0)
         log = open_log(tmp_path / "a.mcap")
         assert log.content_hash() == log.recorded_hash

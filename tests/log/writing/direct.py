@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from cosim.log.contents.layout import split_channel
-from cosim.log.contents.preamble import add_parts, add_preamble
-from cosim.log.mcap_file.head import FileHead
-from cosim.log.mcap_file.live_file import LiveFile
-from cosim.log.mcap_file.unfinished import UnfinishedLog
-from cosim.log.writing.buffer import RunContent, RunRows
-from cosim.log.writing.store import LogOptions, LogStore
+from cosim.log.background import RunContent, RunRows
+from cosim.log.layout import split_channel
+from cosim.log.live_file import LiveFile
+from cosim.log.mcap_records import FileHead
+from cosim.log.preamble import add_parts, add_preamble
+from cosim.log.store import LogOptions, LogStore
+from cosim.log.unfinished import UnfinishedLog
 from tests.log.recordings import STEP_NS
 
 

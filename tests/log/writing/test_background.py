@@ -5,7 +5,7 @@ import threading
 import numpy as np
 
 from cosim.core.clock import Clock
-from cosim.log.writing.background import BackgroundWriter
+from cosim.log.background import BackgroundWriter
 
 CLOCK = Clock(stop=100.0, step=1.0)
 

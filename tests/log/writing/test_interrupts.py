@@ -12,12 +12,10 @@ import pytest
 
 import cosim.log
 from cosim.interrupts import uninterrupted
-from cosim.log import McapRecorder, open_log
-from cosim.log.mcap_file import unfinished
-from cosim.log.writing import background, buffer
+from cosim.log import McapRecorder, background, open_log, unfinished
 from tests.log.recordings import STEP_NS, blocks, layout, make_chunks_small, plan, same_bits, table
 
-BY_BYTECODE = {module.__file__ for module in (background, buffer, unfinished)}
+BY_BYTECODE = {module.__file__ for module in (background, unfinished)}
 TRACED = {str(path) for path in Path(cosim.log.__file__).parent.rglob("*.py")}
 TRACED.add(contextlib.__file__)
 SWITCH = {"write", "append", "_room", "_hand_over", "uninterrupted"}

@@ -6,8 +6,8 @@ import pytest
 
 from cosim.errors import LogError
 from cosim.log import McapRecorder
-from cosim.log.editing.spans import merge
-from cosim.log.mcap_file.rotation import part_paths
+from cosim.log.files import part_paths
+from cosim.log.spans import merge
 from tests.log.recordings import (
     LATE,
     blocks,

@@ -12,9 +12,9 @@ from mcap.reader import make_reader
 
 from cosim.errors import LogWriteError, UsageError
 from cosim.log import McapRecorder, open_log
-from cosim.log.editing.spans import merge
-from cosim.log.mcap_file.rotation import Rotation
-from cosim.log.mcap_file.unfinished import UnfinishedLog
+from cosim.log.files import Rotation
+from cosim.log.spans import merge
+from cosim.log.unfinished import UnfinishedLog
 from tests.log.recordings import (
     LATE,
     STEP_NS,
@@ -172,7 +172,7 @@ KILLED = """
 import os, signal, sys
 from cosim.errors import LogError
 from cosim.log import McapRecorder, open_log
-from cosim.log.mcap_file.rotation import Rotation
+from cosim.log.files import Rotation
 from tests.log.recordings import STEP_NS, blocks, layout, plan, table
 
 def last_step(path):

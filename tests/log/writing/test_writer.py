@@ -17,8 +17,7 @@ from mcap.reader import NonSeekingReader, make_reader
 import cosim
 from cosim.core.contracts import Stopped
 from cosim.errors import Interrupted, LogError, LogWriteError
-from cosim.log import Attachment, McapRecorder, open_log
-from cosim.log.mcap_file import unfinished
+from cosim.log import Attachment, McapRecorder, open_log, unfinished
 from tests.log.decoding import message_class
 from tests.log.disks import FullDisk
 from tests.log.recordings import (

@@ -7,8 +7,8 @@ import pytest
 
 import cosim
 from cosim.errors import LogError, UnknownSignalError, UsageError
-from cosim.log.conversion.choice import LogChoice
-from cosim.log.conversion.files import convert
+from cosim.log.conversion import convert
+from cosim.log.text import LogChoice
 from tests.log.foreign.field_logs import write_json
 
 

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 import cosim
 from cosim.errors import UsageError
-from cosim.log.conversion.choice import LogChoice
-from cosim.log.conversion.files import convert
+from cosim.log.conversion import convert
+from cosim.log.text import LogChoice
 from cosim.scenario.data_files import table, tables
 from cosim.scenario.data_files.field_file import read_field_data
 from cosim.scenario.data_files.table import TableForm

@@ -9,9 +9,8 @@ import cosim
 from cosim.blocks import recorded_rows
 from cosim.cli.app import main
 from cosim.core.stages import engine
-from cosim.log import open_log
-from cosim.log.reading import rows as log_rows
-from cosim.log.writing import encoding
+from cosim.log import open_log, store
+from cosim.log import rows as log_rows
 from cosim.report import recorded_rows as report_rows
 from cosim.report.summary import summarize
 from cosim.report.verification import verify
@@ -56,8 +55,8 @@ def small_limits(monkeypatch):
     monkeypatch.setattr(recorded_scenario, "_LARGE", 0)
     monkeypatch.setattr(engine, "BLOCK_BYTES", 2**16)
     make_chunks_small(monkeypatch, 2**16)
-    monkeypatch.setattr(encoding, "_LARGEST_FLUSH", 2**18)
-    monkeypatch.setattr(encoding, "_BUFFER_BYTES", 2**18)
+    monkeypatch.setattr(store, "_LARGEST_FLUSH", 2**18)
+    monkeypatch.setattr(store, "_BUFFER_BYTES", 2**18)
     for limit in ("_MOST_WHOLE", "_MOST_KEPT", "_MOST_AHEAD", "_ALWAYS_AHEAD", "_MOST_OF_ALL"):
         monkeypatch.setattr(log_rows, limit, 2**14)
 

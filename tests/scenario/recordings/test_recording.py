@@ -8,7 +8,7 @@ import pytest
 import cosim
 from cosim.errors import Interrupted
 from cosim.interrupts import REASONS
-from cosim.log.contents.viewer_layout import LAYOUT_FILE
+from cosim.log.viewer_layout import LAYOUT_FILE
 from cosim.scenario.document.document import shipped
 from cosim.scenario.recordings.recording import interruptible
 from tests.log.contents.viewing import curves, decoded, leaves, parsed

@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 
 import cosim
 from cosim.errors import CosimError, LogError, ScenarioError, UsageError
-from cosim.log.editing.recovering import recover
+from cosim.log.recovering import recover
 from cosim.report.verification import verify
 from cosim.scenario.document.document import shipped
 from cosim.scenario.record import replay_origin

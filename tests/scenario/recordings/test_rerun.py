@@ -12,8 +12,8 @@ import pytest
 import cosim
 from cosim.core import linear
 from cosim.errors import CosimError, FmuError, LogError, UsageError
-from cosim.log.contents.metadata import decode_design, encode_design
-from cosim.log.mcap_file.places import MOST_ATTACHED
+from cosim.log.metadata import decode_design, encode_design
+from cosim.log.places import MOST_ATTACHED
 from cosim.report.verification import verify
 from cosim.scenario.document.document import find, shipped
 from cosim.scenario.record import component_record, replay_origin

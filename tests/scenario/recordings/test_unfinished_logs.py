@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 
 import cosim
 from cosim.errors import LogError
-from cosim.log.editing.recovering import recover
+from cosim.log.recovering import recover
 from cosim.report.verification import verify
 from tests.scenario.refusals import check_refused
 

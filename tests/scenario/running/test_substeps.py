@@ -8,7 +8,7 @@ import pytest
 import cosim
 from cosim.errors import ScenarioError, UsageError
 from cosim.log import Log
-from cosim.log.contents.messages import decode_substep, encode_substep
+from cosim.log.messages import decode_substep, encode_substep
 from cosim.report.inspection import describe_log
 from cosim.report.summary import summarize
 from cosim.report.verification import verify

@@ -1,1 +1,0 @@
-"""Two recorded runs compared."""

@@ -1,1 +1,0 @@
-"""What a log holds beside its rows, and how the signals of a component become messages."""

@@ -1,0 +1,559 @@
+"""What the channels of a log declare: components, signals, the parts of wide rows, a selection."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from fractions import Fraction
+from functools import lru_cache
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+from mcap import records
+from mcap.opcode import Opcode
+from numpy.typing import NDArray
+
+from cosim.arrays import Matrix
+from cosim.core.recorded.partial import PartialRecord, RecordSelection
+from cosim.core.signals import Channel, Interface, Signal, element_names
+from cosim.errors import GraphError, LogError, option, quoted
+from cosim.instants import StepNs
+from cosim.log.checksum import add_checksum, verify_checksum
+from cosim.log.mcap_records import HEADER
+from cosim.log.metadata import compact, json_table, json_texts, read_json
+from cosim.log.places import MALFORMED
+from cosim.units import BaseUnit
+
+RECORD: Final = "cosim.record"
+DECLARED: Final = "cosim.declared"  # in the metadata of a component
+
+_NO_COLUMNS: Final = slice(0, 0)
+
+
+def partial_metadata(partial: PartialRecord) -> dict[str, str]:
+    """Return the record of what is recorded of what."""
+    selection = partial.selection
+    items = {"every": str(selection.every), "components": compact(list(partial.declared))}
+    if selection.signals is not None:
+        items["signals"] = compact(list(selection.signals))
+    return items
+
+
+def declaration_json(channel: Channel, kind: str, step_ns: StepNs) -> str:
+    """Return the declaration of a component with all of its signals."""
+    return compact(dict(Part(channel, kind, step_ns, _NO_COLUMNS).metadata))
+
+
+def read_partial(
+    metadata: Mapping[str, Mapping[str, str]], channels: Mapping[str, Channel]
+) -> tuple[PartialRecord, dict[str, str]] | None:
+    """Return what a log is a part of, with the kinds of all components; None: it is whole.
+
+    Parameters
+    ----------
+    metadata : mapping of record name to its items
+    channels : mapping of component name to Channel
+        Those recorded.
+
+    Raises
+    ------
+    ValueError, KeyError, TypeError, GraphError
+        If the metadata are damaged, or the channels have what they do not declare.
+    """
+    if RECORD not in metadata:
+        return None
+    items = metadata[RECORD]
+    signals = json_texts(items["signals"]) if "signals" in items else None
+    every = read_number(items["every"])
+    declared: dict[str, Channel] = {}
+    kinds: dict[str, str] = {}
+    for name in json_texts(items["components"]):
+        table: dict[str, Any] = json_table(metadata[f"cosim.component.{name}"][DECLARED])
+        part = read_part(table)
+        declared[name] = part.channel
+        kinds[name] = part.kind
+    for name, channel in channels.items():
+        _check_declared(channel, declared[name])
+    selection = RecordSelection(None if signals is None else tuple(signals), every)
+    return PartialRecord(selection, declared), kinds
+
+
+def _check_declared(channel: Channel, declared: Channel) -> None:
+    """Check that a channel holds what its component declares.
+
+    Raises
+    ------
+    ValueError
+        If it does not.
+    """
+    for signal in channel.signals:
+        if declared.by_name.get(signal.name) != signal:
+            raise ValueError(
+                f"{channel.name!r} does not declare the recorded signal {signal.name!r}"
+            )
+    if channel.period % declared.period:
+        raise ValueError(
+            f"{channel.name!r} has a row every {channel.period} steps, which is not a multiple of "
+            f"the {declared.period} steps of its component"
+        )
+
+
+MOST_ELEMENTS = 4096
+_LARGEST_WHOLE = 2**63 - 1  # of a time in ns, a size
+_MOST_DIGITS = 19  # of that
+Records: TypeAlias = NDArray[np.void]  # shape (n,), of a dtype by record_dtype
+
+_CHECKSUM_NAME = "cosim.channel"  # metadata of channels have no name of their own
+_CACHED_SIZES = 64  # most components have one of few sizes
+# fields of a signal that were there from the first log on
+_ALWAYS_WRITTEN = ("name", "size", "unit", "variability", "optional", "type", "role")
+# the nominal value only scales tolerances, the description is for people
+_NOT_HASHED = ("nominal", "description")
+_DOUBLE_WIRE_TYPE = 1  # of protobuf: 64 bits
+
+# Groups of fields whose tags have 1, 2 and 3 bytes: name, first field number, one past the last.
+_GROUPS = (("short", 1, 16), ("middle", 16, 2048), ("long", 2048, MOST_ELEMENTS + 1))
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """The elements of one component that share an MCAP channel.
+
+    Parameters
+    ----------
+    channel : Channel
+        The component.
+    kind : str
+        Kind of the component, as the scenario calls it.
+    step_ns : int or Fraction
+        Communication step [ns].
+    columns : slice
+        Which columns of the component's row.
+    """
+
+    channel: Channel
+    kind: str
+    step_ns: StepNs
+    columns: slice
+
+    @property
+    def title(self) -> str:
+        """Name of the component, numbered from the second part on."""
+        name = self.channel.name
+        number = self.columns.start // MOST_ELEMENTS + 1
+        return name if number == 1 else f"{name}.{number}"
+
+    @property
+    def size(self) -> int:
+        """Number of elements."""
+        return int(self.columns.stop - self.columns.start)
+
+    @property
+    def elements(self) -> list[str]:
+        """Names of the elements."""
+        return element_names(self.channel.signals)[self.columns]
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """What :func:`read_part` needs to build this part again."""
+        channel = self.channel
+        items = {"cosim.component": channel.name, "cosim.kind": self.kind}
+        items["cosim.step_ns"] = str(self.step_ns)
+        items["cosim.period_ns"] = str(self.step_ns * channel.period)  # may be a/b, as the step
+        items["cosim.start"] = str(channel.start)
+        items["cosim.columns"] = f"{self.columns.start}:{self.columns.stop}"
+        items["cosim.signals"] = signals_json(channel.interface)
+        if channel.interface.initial:
+            items["cosim.initial"] = compact(dict(channel.interface.initial))
+        if channel.interface.delayed:
+            items["cosim.delayed"] = compact(list(channel.interface.delayed))
+        if channel.interface.lagging:
+            items["cosim.lagging"] = compact(list(channel.interface.lagging))
+        if channel.interface.left_limits:
+            items["cosim.left_limits"] = compact(list(channel.interface.left_limits))
+        if channel.interface.jumping:
+            items["cosim.jumping"] = compact(list(channel.interface.jumping))
+        if channel.interface.continuous:
+            items["cosim.continuous"] = compact(True)
+        descriptions = {s.name: s.description for s in channel.signals if s.description}
+        if descriptions:
+            items["cosim.descriptions"] = compact(descriptions)
+        # Last: the checksum covers all items, and what came after it would be unprotected.
+        return add_checksum(_CHECKSUM_NAME, items)
+
+
+def split_channel(channel: Channel, *, kind: str, step_ns: StepNs) -> list[Part]:
+    """Split a component into parts of at most 4096 elements.
+
+    A component without signals has one empty part, so that it is in the log all the same.
+    """
+    width = channel.columns.stop - channel.columns.start
+    parts = []
+    for start in range(0, max(width, 1), MOST_ELEMENTS):
+        stop = min(start + MOST_ELEMENTS, width)
+        parts.append(Part(channel, kind, step_ns, slice(start, stop)))
+    return parts
+
+
+def read_part(metadata: Mapping[str, str]) -> Part:
+    """Build a part from its channel's metadata.
+
+    Raises
+    ------
+    ValueError, KeyError, TypeError, GraphError
+        If the metadata is damaged or not ours.
+    """
+    # First: a damaged number may still parse, and would silently be another one.
+    items = verify_checksum(_CHECKSUM_NAME, metadata)
+    name = items["cosim.component"]
+    if not name or "." in name:
+        raise ValueError(f"expected a component name without a dot, got {quoted(name)}")
+    step_ns = _read_step(items["cosim.step_ns"])
+    period_ns = _read_step(items["cosim.period_ns"])
+    start, stop = map(read_number, items["cosim.columns"].split(":"))
+    is_periodic = step_ns >= 1 and period_ns >= step_ns and not period_ns % step_ns
+    if not is_periodic or not 0 <= stop - start <= MOST_ELEMENTS:
+        raise ValueError(
+            f"period {period_ns} ns, step {step_ns} ns and columns {start}:{stop} are inconsistent"
+        )
+    signals = read_json(items["cosim.signals"])
+    descriptions = json_table(items.get("cosim.descriptions", "{}"))
+    initial = json_table(items.get("cosim.initial", "{}"))
+    delayed = read_json(items.get("cosim.delayed", "[]"))
+    lagging = read_json(items.get("cosim.lagging", "[]"))
+    left_limits = read_json(items.get("cosim.left_limits", "[]"))
+    jumping = read_json(items.get("cosim.jumping", "[]"))
+    continuous = read_json(items.get("cosim.continuous", "false"))
+    interface = replace(
+        _read_interface(signals, initial, descriptions),
+        delayed=tuple(delayed),
+        lagging=tuple(lagging),
+        left_limits=tuple(left_limits),
+        jumping=tuple(jumping),
+        continuous=bool(continuous),
+    )
+    first_column = read_number(items["cosim.start"])
+    period = period_ns // step_ns
+    channel = Channel(name, interface, first_column, period)
+    return Part(channel, items["cosim.kind"], step_ns, slice(start, stop))
+
+
+def _read_step(text: str) -> StepNs:
+    """Read a time between rows [ns], a whole number or two: ``50000000/3``."""
+    numerator, *denominator = map(read_number, text.split("/"))
+    if not denominator:
+        return numerator
+    return Fraction(numerator, *denominator)
+
+
+def read_number(text: str) -> int:
+    """Read a whole number from 0 to 2**63 - 1.
+
+    Raises
+    ------
+    ValueError
+        If ``text`` is none.
+    """
+    if not (text.isascii() and text.isdigit()) or len(text) > _MOST_DIGITS:
+        raise ValueError(f"expected a whole number, got {quoted(text)}")
+    number = int(text)
+    if number > _LARGEST_WHOLE:
+        raise ValueError(f"expected a whole number up to {_LARGEST_WHOLE}, got {number}")
+    return number
+
+
+def signals_json(interface: Interface) -> str:
+    """Describe all signals as JSON: the text that the content hash covers.
+
+    Inputs come first. ``feedthrough`` lists the inputs an output depends on directly; null:
+    unknown. A field that is not ``_ALWAYS_WRITTEN`` is left out where it has its default, so that
+    one added later changes no hash of signals that do without it. What outputs depend on at
+    initialization, and which inputs are delayed, only orders calls, which outputs lag
+    only says what the order of the error is, which have left limits what a jump is, which jump and
+    whether others are continuous by construction what FMUs get of them, and a description only what
+    people read: that stands apart, in ``cosim.initial``, ``cosim.delayed``, ``cosim.lagging``,
+    ``cosim.left_limits``, ``cosim.jumping``, ``cosim.continuous`` and ``cosim.descriptions``, and
+    changes no hash; so do nominal values, which are not written at all.
+    """
+    # The hash covers this text byte by byte: neither the order of the signals nor that of the keys
+    # in an entry may change, nor _ALWAYS_WRITTEN.
+    entries = [_signal_entry(signal, "input") for signal in interface.inputs]
+    entries += [_signal_entry(signal, "output") for signal in interface.outputs]
+    for entry in entries:
+        if entry["name"] in interface.feedthrough:
+            entry["feedthrough"] = interface.feedthrough[entry["name"]]
+    return compact(entries)
+
+
+def _signal_entry(signal: Signal, causality: str) -> dict[str, Any]:
+    entry: dict[str, Any] = {"causality": causality}
+    values = asdict(signal)
+    for field in fields(Signal):
+        if field.name in _NOT_HASHED:
+            continue
+        if field.name in _ALWAYS_WRITTEN or getattr(signal, field.name) != field.default:
+            entry[field.name] = values[field.name]
+    return entry
+
+
+def _read_interface(
+    entries: Any, initial: Mapping[str, Any], descriptions: Mapping[str, Any]
+) -> Interface:
+    if not isinstance(entries, list):
+        raise ValueError(f"expected a list of signals, got {quoted(entries)}")
+    inputs: list[Signal] = []
+    outputs: list[Signal] = []
+    feedthrough = {}
+    for entry in entries:
+        if not isinstance(entry, dict):
+            raise ValueError(f"expected a signal, got {quoted(entry)}")
+        values = dict(entry)
+        # First: causality and feedthrough belong to the interface, and are no fields of a signal.
+        causality = values.pop("causality")
+        if "feedthrough" in values:
+            feedthrough[values["name"]] = _input_names(values.pop("feedthrough"))
+        signals = {"input": inputs, "output": outputs}[causality]
+        signals.append(
+            _read_signal({**values, "description": descriptions.get(values["name"], "")})
+        )
+    initial_dependencies = {output: _input_names(names) for output, names in initial.items()}
+    _check_dependencies(feedthrough, inputs, outputs)
+    _check_dependencies(initial_dependencies, inputs, outputs)
+    return Interface(tuple(inputs), tuple(outputs), feedthrough, initial_dependencies)
+
+
+def _check_dependencies(
+    dependencies: Mapping[str, tuple[str, ...] | None],
+    inputs: Sequence[Signal],
+    outputs: Sequence[Signal],
+) -> None:
+    """Check that outputs depend on inputs.
+
+    Raises
+    ------
+    ValueError
+        If they depend on something else.
+    """
+    known_inputs = {signal.name for signal in inputs}
+    known_outputs = {signal.name for signal in outputs}
+    for output, names in dependencies.items():
+        if output not in known_outputs or not known_inputs.issuperset(names or ()):
+            raise ValueError(
+                f"{quoted(output)} is declared to depend on {quoted(names)}, which are not inputs"
+            )
+
+
+def _read_signal(values: dict[str, Any]) -> Signal:
+    # JSON has no tuples, and a list would make the signal differ from the one recorded.
+    if "start" in values:
+        values["start"] = _tuple("start", values["start"])
+    if isinstance(values["unit"], list):
+        values["unit"] = tuple(values["unit"])
+    if isinstance(values.get("base"), list):
+        values["base"] = tuple(base and _read_base(base) for base in values["base"])
+    elif "base" in values:
+        values["base"] = _read_base(values["base"])
+    signal = Signal(**values)
+    if signal.size > _LARGEST_WHOLE:
+        raise ValueError(
+            f"signal {quoted(signal.name)}: expected a size up to {_LARGEST_WHOLE}, got "
+            f"{signal.size}"
+        )
+    return signal
+
+
+def _read_base(values: Mapping[str, Any]) -> BaseUnit:
+    exponents = _tuple("exponents", values["exponents"])
+    return BaseUnit(**{**values, "exponents": exponents})
+
+
+def _tuple(name: str, values: Any) -> tuple[Any, ...]:
+    if not isinstance(values, list):
+        raise ValueError(f"{name}: expected a list, got {quoted(values)}")
+    return tuple(values)
+
+
+def _input_names(names: Any) -> tuple[str, ...] | None:
+    if names is None:
+        return None
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise ValueError(f"expected a list of inputs, got {quoted(names)}")
+    return tuple(names)
+
+
+@lru_cache(_CACHED_SIZES)
+def record_dtype(size: int) -> np.dtype[np.void]:
+    """Return the dtype of a whole message record of ``size`` doubles."""
+    # The order of the fields is the order of the bytes in the file; numpy adds no padding.
+    fields: list[Any] = [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel_id", "<u2"),
+        ("sequence", "<u4"),
+        ("log_time", "<u8"),
+        ("publish_time", "<u8"),
+    ]
+    for tag_bytes, (name, first, stop) in enumerate(_GROUPS, start=1):
+        if size >= first:
+            last = min(size, stop - 1)
+            count = last - first + 1
+            element = [("tag", "u1", (tag_bytes,)), ("value", "<f8")]
+            fields.append((name, element, (count,)))
+    return np.dtype(fields)
+
+
+def blank_records(channel_id: int, size: int, count: int) -> Records:
+    """Return ``count`` message records with everything constant filled in."""
+    dtype = record_dtype(size)
+    records = np.zeros(count, dtype)
+    records["opcode"] = Opcode.MESSAGE
+    records["length"] = dtype.itemsize - HEADER
+    records["channel_id"] = channel_id
+    for name, tags in field_tags(size).items():
+        records[name]["tag"] = tags
+    return records
+
+
+@lru_cache(_CACHED_SIZES)
+def field_tags(size: int) -> Mapping[str, NDArray[np.uint8]]:
+    """Return the tags of each group of fields, shape (fields, bytes); read-only.
+
+    A tag is ``number << 3 | wire type`` as a varint: seven bits a byte, the lowest first, with the
+    highest bit set in every byte but the last.
+    """
+    tags = {}
+    for tag_bytes, (name, first, stop) in enumerate(_GROUPS, start=1):
+        if size < first:
+            continue
+        last = min(size, stop - 1)
+        numbers = np.arange(first, last + 1, dtype=np.int64)
+        keys = (numbers << 3) | _DOUBLE_WIRE_TYPE
+        varint = np.empty((len(keys), tag_bytes), dtype=np.uint8)
+        for position in range(tag_bytes):
+            varint[:, position] = (keys >> 7 * position) & 0x7F
+        varint[:, :-1] |= 0x80
+        varint.setflags(write=False)
+        tags[name] = varint
+    return MappingProxyType(tags)
+
+
+@lru_cache(_CACHED_SIZES)
+def group_columns(size: int) -> Mapping[str, slice]:
+    """Return which elements of a part stand in which group of fields."""
+    columns = {}
+    for name, first, stop in _GROUPS:
+        if size >= first:
+            last = min(size, stop - 1)
+            columns[name] = slice(first - 1, last)  # field numbers begin at 1, elements at 0
+    return MappingProxyType(columns)
+
+
+def copy_values(records: Records, target: Matrix) -> None:
+    """Copy the doubles of message records to ``target``, shape (n, size).
+
+    Raises
+    ------
+    ValueError
+        If the records have other fields than ours.
+    """
+    size = target.shape[1]
+    copy_columns(records, target, size=size, columns=slice(0, size))
+
+
+def copy_columns(records: Records, target: Matrix, *, size: int, columns: slice) -> None:
+    """Copy some doubles of message records of ``size`` doubles to ``target``, shape (n, columns).
+
+    Raises
+    ------
+    ValueError
+        If the records have other fields than ours.
+    """
+    tags = field_tags(size)
+    for name, in_group in group_columns(size).items():
+        # Before the values: the same bytes after other tags are other fields, or another type.
+        group = records[name]
+        if (group["tag"] != tags[name]).any():
+            raise ValueError(
+                "the fields of the messages differ from those declared: written or re-encoded by "
+                "another tool"
+            )
+        start = max(columns.start, in_group.start)
+        stop = min(columns.stop, in_group.stop)
+        if start < stop:
+            values = group["value"][:, start - in_group.start : stop - in_group.start]
+            target[:, start - columns.start : stop - columns.start] = values
+
+
+def read_parts(path: Path, channels: Mapping[int, records.Channel]) -> dict[int, Part]:
+    """Read the parts of the components from their channels' metadata, by channel id.
+
+    Raises
+    ------
+    LogError
+        If one cannot be parsed, or there are none.
+    """
+    parts = {}
+    for number, channel in channels.items():
+        if "cosim.component" not in channel.metadata:
+            continue
+        try:
+            parts[number] = read_part(channel.metadata)
+        except (*MALFORMED, GraphError) as error:
+            raise LogError(
+                f"{path}: channel {channel.topic!r} cannot be parsed: {error}"
+            ) from error
+    if not parts:
+        topics = [channel.topic for channel in channels.values()]
+        joined = ", ".join(topics) or "no channels at all"
+        raise LogError(
+            f"{path} has no channels of cosim (with 'cosim.component'); available: {joined}. For "
+            "recordings of other tools, 'cosim info' lists the fields and "
+            f"{option('swap')} reads them"
+        )
+    return parts
+
+
+def read_channels(path: Path, parts: Iterable[Part]) -> dict[str, Channel]:
+    """Return the components in the order of the row, each checked to be whole.
+
+    Raises
+    ------
+    LogError
+        If parts of one contradict each other, or are not the whole of it.
+    """
+    # By name too: a component without signals starts where the next one does.
+    in_order = sorted(parts, key=lambda part: (part.channel.start, part.channel.name))
+    channels = {part.channel.name: part.channel for part in in_order}
+    columns: dict[str, list[slice]] = {name: [] for name in channels}
+    for part in in_order:
+        name = part.channel.name
+        if part.channel != channels[name] or part.step_ns != in_order[0].step_ns:
+            raise LogError(f"{path}: the channels of {name!r} contradict each other")
+        columns[name].append(part.columns)
+    for name, channel in channels.items():
+        _check_whole(path, channel, columns[name])
+    return channels
+
+
+def _check_whole(path: Path, channel: Channel, columns: list[slice]) -> None:
+    """Check that the parts of a component tile its row.
+
+    Raises
+    ------
+    LogError
+        If some columns are missing, or recorded more than once.
+    """
+    spans = sorted((span.start, span.stop) for span in columns)
+    column = 0
+    is_contiguous = True
+    for start, stop in spans:
+        is_contiguous &= start == column
+        column = stop
+    width = channel.columns.stop - channel.start
+    if not is_contiguous or column != width:
+        raise LogError(
+            f"{path}: component {channel.name!r} is incomplete: expected columns 0 to {width} "
+            f"once, got {spans}"
+        )

@@ -1,0 +1,254 @@
+"""Metadata of a log: JSON, exact arrays, when and where the run began, its content hash."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import platform
+import re
+from collections.abc import Iterable, Mapping
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Matrix, Nanoseconds
+from cosim.core.contracts import Design
+from cosim.core.recorded.signals import RecordedPort
+from cosim.core.recording import Recording
+from cosim.errors import quoted
+from cosim.instants import last_nanosecond
+from cosim.version import __version__
+
+_MOST_AXES = 8
+_SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
+
+
+def compact(value: Any) -> str:
+    """Write JSON without spaces, in ASCII: equal values have equal text."""
+    return json.dumps(value, separators=(",", ":"))
+
+
+def read_json(text: str | bytes) -> Any:
+    """Read JSON.
+
+    Raises
+    ------
+    ValueError
+        If it is none, or nested too deeply to be read.
+    """
+    try:
+        value = json.loads(text)
+        if _SURROGATE.search(text if isinstance(text, str) else text.decode()):
+            json.dumps(value, ensure_ascii=False).encode()
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
+    except UnicodeEncodeError as error:
+        raise ValueError("it contains an unpaired surrogate") from error
+    return value
+
+
+def json_table(text: str | bytes) -> dict[str, Any]:
+    """Read a JSON object.
+
+    Raises
+    ------
+    ValueError
+        If ``text`` is none.
+    """
+    value = read_json(text)
+    if not isinstance(value, dict):
+        raise ValueError(f"expected a table, got {quoted(value)}")
+    return value
+
+
+def json_texts(text: str) -> list[str]:
+    """Read a JSON array of strings.
+
+    Raises
+    ------
+    ValueError
+        If ``text`` is none.
+    """
+    value = read_json(text)
+    if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
+        raise ValueError(f"expected a list of strings, got {quoted(value)}")
+    return value
+
+
+def encode_design(design: Design) -> str:
+    """Write arrays as JSON, bit for bit: shape, and base64 of the doubles in C order."""
+    entries = {}
+    for name, array in design.items():
+        shape = list(np.shape(array))
+        entries[name] = {"shape": shape, "data": _encode_doubles(array)}
+    return compact(entries)
+
+
+def _encode_doubles(array: NDArray[np.float64]) -> str:
+    little_endian = np.ascontiguousarray(array, dtype="<f8")
+    return base64.b64encode(little_endian.tobytes()).decode("ascii")
+
+
+def decode_design(text: str) -> dict[str, NDArray[np.float64]]:
+    """Read what :func:`encode_design` wrote; the arrays are read-only.
+
+    Raises
+    ------
+    ValueError, KeyError, TypeError
+        If ``text`` is something else.
+    """
+    design = {}
+    for name, entry in json_table(text).items():
+        doubles = _decode_doubles(entry["data"])
+        design[name] = doubles.reshape(_shape(entry["shape"]))
+        design[name].setflags(write=False)
+    return design
+
+
+def _shape(value: Any) -> tuple[int, ...]:
+    is_shape = isinstance(value, list) and len(value) <= _MOST_AXES
+    if not is_shape or not all(type(size) is int and size >= 0 for size in value):
+        raise ValueError(f"expected a list of sizes as the shape, got {quoted(value)}")
+    return tuple(value)
+
+
+def _decode_doubles(data: str) -> NDArray[np.float64]:
+    if not isinstance(data, str):
+        raise TypeError(f"expected base64, got {quoted(data)}")
+    decoded = base64.b64decode(data, validate=True)
+    little_endian = np.frombuffer(decoded, dtype="<f8")
+    return little_endian.astype(np.float64)
+
+
+def recorded_start_ns(metadata: Mapping[str, Mapping[str, str]]) -> int | None:
+    """Return the instant from which steps are counted [ns]; None: it is not recorded.
+
+    That is the start time of the run, or where the span begins that a replay recorded alone.
+
+    Parameters
+    ----------
+    metadata : mapping of record name to its items
+    """
+    run = metadata.get("cosim.run", {})
+    try:
+        # a replay of all has null for its window
+        window = json_table(run.get("replay", "{}")).get("window") or [run.get("start_time", "")]
+        return last_nanosecond(float(window[0]))
+    except (ValueError, OverflowError, TypeError, LookupError):
+        return None
+
+
+WRITTEN = "cosim.written"  # the record that has the time at which a recording began
+_PACKAGES = ("numpy", "scipy", "mcap")
+
+
+@cache
+def library_name() -> str:
+    """Return the name of the program, for the header of a log."""
+    return f"cosim/{__version__} mcap-python/{_version('mcap')}"
+
+
+def environment() -> dict[str, str]:
+    """Return the versions of Python and the packages that compute, the platform, the processor."""
+    versions = {"cosim": __version__}
+    for name in _PACKAGES:
+        versions[name] = _version(name)
+    return {
+        **versions,
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "processor": _processor(),
+    }
+
+
+@cache  # reading it takes a millisecond
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+@cache
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    for line in lines:
+        key, _, value = line.partition(":")
+        if key.startswith("model name"):
+            return value.strip()
+    return platform.machine()
+
+
+def environment_changes(recording: Recording) -> dict[str, tuple[str, str]]:
+    """Return what is different on this machine from the one that wrote a log.
+
+    Returns
+    -------
+    dict of str to (str, str)
+        By name the recorded value and the present one; what was not recorded is not compared.
+    """
+    recorded = recording.metadata.get("cosim.env", {})
+    changes = {}
+    for name, present in environment().items():
+        if name in recorded and recorded[name] != present:
+            changes[name] = (str(recorded[name]), present)
+    return changes
+
+
+def hash_input(time_ns: Nanoseconds, rows: Matrix) -> memoryview:
+    """Return the bytes that a component's SHA-256 covers.
+
+    Per row the time as int64, then the doubles, all little-endian.
+
+    Parameters
+    ----------
+    time_ns : Nanoseconds, shape (n,)
+    rows : Matrix, shape (n, width)
+    """
+    count, width = rows.shape
+    table = np.empty((count, 1 + width), dtype="<f8")
+    table.view("<i8")[:, 0] = time_ns
+    table[:, 1:] = rows
+    return table.view(np.uint8).reshape(-1).data
+
+
+def combine_hashes(components: Iterable[tuple[str, str, str]]) -> str:
+    """Combine the components to the hash of the run, in hex.
+
+    Parameters
+    ----------
+    components : iterable of (str, str, str)
+        Name, ``cosim.signals`` and SHA-256 in hex of each component, in any order.
+    """
+    # Sorted: the hash does not depend on the order of the components in the file.
+    text = compact(sorted(components))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def hash_signals(run: Recording, selection: Mapping[str, RecordedPort]) -> dict[str, str]:
+    """Return the SHA-256 in hex of each chosen signal, by its name.
+
+    Per row it covers the time in ns as int64, then the elements as doubles, all little-endian.
+
+    Raises
+    ------
+    LogError
+        If a file is damaged.
+    """
+    by_component: dict[str, list[str]] = {}
+    for name, port in selection.items():
+        by_component.setdefault(port.channel.name, []).append(name)
+    digests = {name: hashlib.sha256() for name in selection}
+    for component, names in by_component.items():
+        for time_ns, rows in run.blocks(component):
+            for name in names:
+                digests[name].update(hash_input(time_ns, rows[:, selection[name].columns]))
+    return {name: digest.hexdigest() for name, digest in digests.items()}

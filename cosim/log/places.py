@@ -1,0 +1,607 @@
+"""Where the records of an MCAP file stand: by its summary, by a walk, or by a search.
+
+A log of cosim is opened by its summary alone, however long it is. That of a closed file has a CRC
+in the footer; that of one that is still written, or whose writer was killed, a seal after it.
+Where there is neither, and in files of other tools, which may leave records out of their indexes,
+the file is walked from record to record by their lengths. In a damaged file the intact records are
+searched by their content, wherever they are.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import re
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import Any, BinaryIO, Final, NamedTuple
+
+from isal import isal_zlib
+from mcap import records
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.summary import Summary
+
+from cosim.errors import LogError
+from cosim.log.checksum import PREFIX, verify_checksum
+from cosim.log.chunks import CHUNK_HEAD, MOST_BYTES, decompressed, read_chunk_header
+from cosim.log.files import open_file
+from cosim.log.live_file import SEAL
+from cosim.log.mcap_records import (
+    END_SIZE,
+    FOOTER,
+    FOOTER_SIZE,
+    HEADER,
+    MAGIC,
+    PAD,
+    RECORD_HEADER,
+)
+
+# what parsing bytes from outside may raise
+MALFORMED: Final = (McapError, ValueError, KeyError, TypeError, OverflowError, struct.error)
+MOST_ATTACHED: Final = 2**28  # bytes of an attachment
+OWN_LIBRARY: Final = "cosim/"  # what the name of ours begins with
+
+_MOST_SUMMARY: Final = 2**30  # bytes
+_MOST_NAME: Final = 2**10
+_SPAN_BYTES: Final = 2**22  # of messages outside chunks that are read as one piece
+_READ_BYTES: Final = 2**22
+_ATTACHMENT_TIMES: Final = 16  # bytes: log time, creation time
+
+
+@dataclass(frozen=True, slots=True)
+class RecordSpan:
+    """Bytes ``start`` to ``stop`` of a record, or of messages outside chunks, headers included."""
+
+    opcode: int
+    start: int
+    stop: int
+
+    @property
+    def size(self) -> int:
+        """Number of bytes."""
+        return self.stop - self.start
+
+
+@dataclass(slots=True)
+class Places:
+    """Where the records of a file stand, in its order, and what its summary says.
+
+    Parameters
+    ----------
+    data : list of RecordSpan
+        Chunks, and spans of messages outside chunks.
+    schemas, channels, metadata, attachments : list of RecordSpan
+        Outside chunks; an index leaves out schemas and channels, which its summary repeats.
+    summary : Summary
+        Empty where there is none.
+    is_indexed : bool
+        Whether cosim wrote the file, so that its summary is whole, and each channel in order of
+        time.
+    is_unfinished : bool
+        Whether it is still written, or its writer was killed.
+    """
+
+    data: list[RecordSpan] = field(default_factory=list)
+    schemas: list[RecordSpan] = field(default_factory=list)
+    channels: list[RecordSpan] = field(default_factory=list)
+    metadata: list[RecordSpan] = field(default_factory=list)
+    attachments: list[RecordSpan] = field(default_factory=list)
+    summary: Summary = field(default_factory=Summary)
+    is_indexed: bool = False
+    is_unfinished: bool = False
+
+    @property
+    def chunks(self) -> list[RecordSpan]:
+        """The chunks among the data."""
+        return [span for span in self.data if span.opcode == Opcode.CHUNK]
+
+    def add(self, opcode: int, start: int, stop: int) -> None:
+        """Add a record of the data section to the list it belongs to."""
+        lists = {
+            Opcode.CHUNK: self.data,
+            Opcode.SCHEMA: self.schemas,
+            Opcode.CHANNEL: self.channels,
+            Opcode.METADATA: self.metadata,
+            Opcode.ATTACHMENT: self.attachments,
+        }
+        if opcode == Opcode.MESSAGE:
+            last = self.data[-1] if self.data else RecordSpan(Opcode.CHUNK, 0, 0)
+            is_adjacent = last.opcode == Opcode.MESSAGE and last.stop == start
+            if is_adjacent and stop - last.start <= _SPAN_BYTES:
+                self.data[-1] = RecordSpan(opcode, last.start, stop)
+            else:
+                self.data.append(RecordSpan(opcode, start, stop))
+        elif opcode in lists:
+            lists[Opcode(opcode)].append(RecordSpan(opcode, start, stop))
+
+
+def damage_error(path: Path, offset: int, reason: str) -> LogError:
+    """Return the error that names the byte at which a file is damaged."""
+    return LogError(f"{path} is damaged at byte {offset}: {reason}")
+
+
+def parsed(kind: Any, content: bytes | memoryview) -> Any:
+    """Read the content of a record; raises what is in ``MALFORMED``."""
+    return kind.read(ReadDataStream(BytesIO(content)))
+
+
+def records_in(block: bytes | memoryview) -> Iterator[tuple[int, int, int]]:
+    """Yield opcode, start and end of the content of records one after the other.
+
+    Raises
+    ------
+    ValueError
+        If the last one is not whole.
+    """
+    position = 0
+    size = len(block)
+    while position < size:
+        if position + HEADER > size:
+            raise ValueError(f"{size - position} surplus bytes in a chunk")
+        opcode, length = RECORD_HEADER.unpack_from(block, position)
+        begin = position + HEADER
+        position = begin + length
+        if position > size:
+            raise ValueError(f"a record of {length} bytes does not fit into its chunk")
+        yield opcode, begin, position
+
+
+def library_of(stream: BinaryIO) -> str | None:
+    """Return what wrote the file, as its header says; None: it has no header."""
+    stream.seek(0)
+    start = stream.read(len(MAGIC) + HEADER + _MOST_NAME)
+    if start[: len(MAGIC)] != MAGIC or start[len(MAGIC) : len(MAGIC) + 1] != b"\x01":
+        return None
+    try:
+        return str(parsed(records.Header, start[len(MAGIC) + HEADER :]).library)
+    except MALFORMED:
+        return None
+
+
+def is_ours(stream: BinaryIO) -> bool:
+    """Return whether cosim wrote the file, as its header says."""
+    return (library_of(stream) or "").startswith(OWN_LIBRARY)
+
+
+# --- the summary ---
+
+
+class _Footer(NamedTuple):
+    """The footer of a file: where it stands, and where the summary and its offsets do."""
+
+    position: int
+    start: int
+    offset_start: int
+    crc: int
+    head: bytes  # up to the CRC, which covers it
+
+
+def _footer(stream: BinaryIO) -> _Footer | None:
+    """Return the footer at the end of a file; None: there is none."""
+    position = stream.seek(0, os.SEEK_END) - END_SIZE
+    if position < len(MAGIC):
+        return None
+    stream.seek(position)
+    end = stream.read(END_SIZE)
+    opcode, length, start, offset_start, crc = FOOTER.unpack(end[:FOOTER_SIZE])
+    is_footer = opcode == Opcode.FOOTER and length == FOOTER_SIZE - HEADER
+    if not is_footer or end[FOOTER_SIZE:] != MAGIC:
+        return None
+    return _Footer(position, start, offset_start, crc, end[: FOOTER_SIZE - 4])
+
+
+def _section(path: Path, stream: BinaryIO, footer: _Footer) -> bytes:
+    """Return the bytes of the summary, checked by the CRC of the footer if that has one.
+
+    Raises
+    ------
+    LogError
+        If they are damaged.
+    """
+    size = footer.position - footer.start
+    if not len(MAGIC) < footer.start <= footer.position:
+        reason = f"invalid start of the summary: byte {footer.start}"
+        raise damage_error(path, footer.position, reason)
+    if size > _MOST_SUMMARY:
+        reason = f"a summary of {size} bytes exceeds the limit of {_MOST_SUMMARY}"
+        raise damage_error(path, footer.position, reason)
+    stream.seek(footer.start)
+    section = stream.read(size)
+    if footer.crc and isal_zlib.crc32(footer.head, isal_zlib.crc32(section)) != footer.crc:
+        reason = "the CRC of the summary does not match its content"
+        raise damage_error(path, footer.start, reason)
+    return section
+
+
+def read_summary(path: Path, stream: BinaryIO) -> Summary:
+    """Return the summary of any file; an empty one if it has none.
+
+    Raises
+    ------
+    LogError
+        If it is damaged.
+    """
+    footer = _footer(stream)
+    if footer is None or not footer.start:
+        return Summary()
+    try:
+        return _parse_summary(_section(path, stream, footer))
+    except MALFORMED as error:
+        reason = f"the summary cannot be read: {error}"
+        raise damage_error(path, footer.position, reason) from error
+
+
+def _parse_summary(section: bytes) -> Summary:
+    summary = Summary()
+    for opcode, begin, stop in records_in(section):
+        content = section[begin:stop]
+        match opcode:
+            case Opcode.STATISTICS:
+                summary.statistics = parsed(records.Statistics, content)
+            case Opcode.SCHEMA:
+                schema = parsed(records.Schema, content)
+                summary.schemas[schema.id] = schema
+            case Opcode.CHANNEL:
+                channel = parsed(records.Channel, content)
+                summary.channels[channel.id] = channel
+            case Opcode.CHUNK_INDEX:
+                summary.chunk_indexes.append(_chunk_index(content))
+            case Opcode.METADATA_INDEX:
+                summary.metadata_indexes.append(parsed(records.MetadataIndex, content))
+            case Opcode.ATTACHMENT_INDEX:
+                summary.attachment_indexes.append(parsed(records.AttachmentIndex, content))
+    return summary
+
+
+_CHUNK_PLACE: Final = struct.Struct("<QQQQI")  # times, start, length, bytes of offsets
+_INDEX_OFFSET: Final = struct.Struct("<HQ")  # channel, offset of its index
+_CHUNK_NAME: Final = struct.Struct("<QI")  # length of the indexes, bytes of the compression's name
+_CHUNK_SIZES: Final = struct.Struct("<QQ")  # compressed, uncompressed
+
+
+def _chunk_index(content: bytes) -> records.ChunkIndex:
+    """Read what there may be thousands of, ten times as fast as mcap does."""
+    start_time, end_time, start, length, offset_bytes = _CHUNK_PLACE.unpack_from(content)
+    position = _CHUNK_PLACE.size
+    offsets_end = position + offset_bytes
+    index_length, name_length = _CHUNK_NAME.unpack_from(content, offsets_end)
+    name_start = offsets_end + _CHUNK_NAME.size
+    name_end = name_start + name_length
+    compressed_size, size = _CHUNK_SIZES.unpack_from(content, name_end)
+    return records.ChunkIndex(
+        chunk_length=length,
+        chunk_start_offset=start,
+        compression=content[name_start:name_end].decode(),
+        compressed_size=compressed_size,
+        message_end_time=end_time,
+        message_index_length=index_length,
+        message_index_offsets=dict(_INDEX_OFFSET.iter_unpack(content[position:offsets_end])),
+        message_start_time=start_time,
+        uncompressed_size=size,
+    )
+
+
+# --- by the summary ---
+
+
+def indexed(path: Path, stream: BinaryIO) -> Places | None:
+    """Return where a log of ours has its records, as its summary says; None: it has to be walked.
+
+    Raises
+    ------
+    LogError
+        If the summary is damaged.
+    """
+    footer = _footer(stream)
+    if footer is None or not footer.start:
+        return None
+    if not is_ours(stream) and (footer.crc or not _has_seal(stream, footer)):
+        return None
+    section = _section(path, stream, footer)
+    if not footer.crc:
+        section = _sealed(section, footer.start)
+        if not section:
+            reason = "the CRC of the summary does not match its content"
+            raise damage_error(path, footer.start, reason)
+    if not footer.start <= footer.offset_start <= footer.start + len(section):
+        reason = f"invalid start of the summary: byte {footer.start}"
+        raise damage_error(path, footer.position, reason)
+    summary = _parse_summary(section)
+    places = Places(summary=summary, is_indexed=True, is_unfinished=not footer.crc)
+    for chunk in sorted(summary.chunk_indexes, key=lambda index: index.chunk_start_offset):
+        start = chunk.chunk_start_offset
+        places.add(Opcode.CHUNK, start, start + chunk.chunk_length)
+    for metadata in summary.metadata_indexes:
+        places.add(Opcode.METADATA, metadata.offset, metadata.offset + metadata.length)
+    for attachment in summary.attachment_indexes:
+        places.add(Opcode.ATTACHMENT, attachment.offset, attachment.offset + attachment.length)
+    _check_counts(path, places)
+    return places
+
+
+def _check_counts(path: Path, places: Places) -> None:
+    """Compare the records of a file with its statistics.
+
+    Raises
+    ------
+    LogError
+        If there are others.
+    """
+    statistics = places.summary.statistics
+    if statistics is None:
+        return
+    counts = (len(places.chunks), len(places.metadata), len(places.attachments))
+    expected = (statistics.chunk_count, statistics.metadata_count, statistics.attachment_count)
+    if counts != expected:
+        raise LogError(
+            f"{path} is damaged: expected {expected} chunks, metadata records and attachments, as "
+            f"in its summary, got {counts}"
+        )
+
+
+def _has_seal(stream: BinaryIO, footer: _Footer) -> bool:
+    """Return whether a seal vouches for a summary: no CRC does for the header before it."""
+    if not len(MAGIC) < footer.start < footer.position <= footer.start + _MOST_SUMMARY:
+        return False
+    stream.seek(footer.start)
+    return bool(_sealed(stream.read(footer.position - footer.start), footer.start))
+
+
+def _sealed(section: bytes, start: int) -> bytes:
+    """Return the summary that a seal vouches for; nothing: there is none."""
+    position = 0
+    while position + HEADER <= len(section):
+        opcode, length = RECORD_HEADER.unpack_from(section, position)
+        if opcode == PAD:
+            seal = section[position + HEADER : position + HEADER + SEAL.size]
+            summary = section[:position]
+            fits = seal == SEAL.pack(start, position, isal_zlib.crc32(summary))
+            return summary if fits else b""
+        position += HEADER + length
+    return b""
+
+
+# --- by a walk ---
+
+
+def walked(path: Path, stream: BinaryIO) -> Places:
+    """Return where a file has its records, by the headers of all of them.
+
+    Messages outside chunks are checked by the CRC of the data, if its writer gave one.
+
+    Raises
+    ------
+    LogError
+        If the file is not MCAP, truncated or damaged; the error of a truncated file differs from
+        that of a damaged one, and both name the byte.
+    """
+    size = stream.seek(0, os.SEEK_END)
+    stream.seek(0)
+    if stream.read(len(MAGIC)) != MAGIC:
+        # what else stands there is not shown: a stranger's scenario may name any file
+        what = f"not an MCAP file: expected it to begin with {MAGIC!r}"
+        raise LogError(f"{path} is {what if size else 'empty; expected an MCAP file'}")
+    places = Places()
+    position = len(MAGIC)
+    data_end = 0
+    opcode = 0
+    while opcode != Opcode.FOOTER:
+        stream.seek(position)
+        header = stream.read(HEADER)
+        length = int.from_bytes(header[1:], "little")
+        stop = position + HEADER + length
+        if len(header) < HEADER or stop > size:
+            raise _incomplete(path, stream, places, position=position, size=size)
+        opcode = header[0]
+        if opcode == Opcode.DATA_END and not data_end:
+            data_end = position
+            data_crc = int.from_bytes(stream.read(4), "little")
+        elif not data_end:  # the summary repeats records
+            places.add(opcode, position, stop)
+        position = stop
+    stream.seek(position)
+    if stream.read(len(MAGIC) + 1) != MAGIC:  # nothing may follow it
+        raise _incomplete(path, stream, places, position=position, size=size)
+    places.summary = read_summary(path, stream)
+    _check_counts(path, places)
+    starts = {span.start for span in places.chunks}
+    without = [i.chunk_start_offset for i in places.summary.chunk_indexes]
+    if not starts.issuperset(without):
+        place = min(start for start in without if start not in starts)
+        raise damage_error(path, place, "no chunk where its index says")
+    has_messages = len(places.chunks) < len(places.data)
+    if has_messages and data_end and data_crc and data_crc != _crc(stream, data_end):
+        raise damage_error(path, data_end, "the CRC of the data does not match")
+    return places
+
+
+def _crc(stream: BinaryIO, stop: int) -> int:
+    """Compute the CRC-32 of the bytes before ``stop``, piece by piece."""
+    stream.seek(0)
+    crc = 0
+    for position in range(0, stop, _READ_BYTES):
+        crc = isal_zlib.crc32(stream.read(min(_READ_BYTES, stop - position)), crc)
+    return crc
+
+
+def _incomplete(
+    path: Path, stream: BinaryIO, places: Places, *, position: int, size: int
+) -> LogError:
+    """Return the error of a file of ``size`` bytes with no whole record at ``position``.
+
+    A file that ends with the magic was closed, so a length in it is wrong; else its end is missing.
+    """
+    stream.seek(max(size - len(MAGIC), len(MAGIC)))
+    if stream.read() == MAGIC:
+        return damage_error(path, position, "no complete record begins there")
+    rescue = "it has no complete row: run it again"
+    if not is_ours(stream):
+        rescue = "recover the intact part with 'mcap recover'"
+    elif places.chunks:
+        # A chunk holds rows of some components, so that others may end long before it.
+        stream.seek(places.chunks[-1].start + HEADER + 8)  # after the time of its first message
+        end_ns = int.from_bytes(stream.read(8), "little")
+        rescue = (
+            f"its last complete chunk ends at t = {end_ns / 1e9} s: run it again, or recover the "
+            "intact part with 'cosim recover', which reports what is lost"
+        )
+    return LogError(
+        f"{path} is truncated at byte {size}: its end is missing, as after an interrupted "
+        f"copy; {rescue}"
+    )
+
+
+# --- by a search ---
+
+# Opcodes of what is looked for, and lengths below 2**40: other records have these bytes by chance
+# now and then, and are refused by their content.
+_CANDIDATE: Final = re.compile(rb"[\x03\x04\x06\x09\x0b\x0c].{5}\x00\x00\x00", re.DOTALL)
+_MOST_FACTS: Final = 2**24  # bytes of a schema, a channel or metadata
+_LARGEST: Final = {Opcode.CHUNK: MOST_BYTES, Opcode.ATTACHMENT: MOST_ATTACHED}
+_OF_CHANNELS: Final = "cosim.channel"  # what their metadata have a checksum as
+
+
+def searched(path: Path) -> Places:
+    """Return where the intact records of a damaged log stand.
+
+    A record is intact if its content proves it: a chunk by the CRC of its decompressed records, an
+    attachment by its CRC, metadata and channels of cosim by their checksums, a schema if it can be
+    read to its last byte. What lies between is searched byte by byte, so that a wrong length or a
+    lost page costs no more than the records that it is in. The holes, slots and pads of an
+    unfinished file are searched, too: chunks there that were replaced by later ones have rows of
+    the run. Of all statistics those of most messages are the summary.
+
+    Raises
+    ------
+    LogError
+        If the file cannot be read, or is empty.
+    """
+    places = Places()
+    with open_file(path) as stream:
+        try:
+            content = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+        except ValueError as error:
+            raise LogError(f"{path} is empty; expected an MCAP file") from error
+        with content:
+            position = 0
+            while True:
+                match = _CANDIDATE.search(content, position)
+                if match is None:
+                    return places
+                position = match.start()
+                del match  # it holds the mapping
+                position = _intact_end(places, content, position) or position + 1
+
+
+def _intact_end(places: Places, content: mmap.mmap, start: int) -> int:
+    """Add the record that begins at ``start``; return its end, 0: there is no intact one."""
+    opcode, length = RECORD_HEADER.unpack_from(content, start)
+    stop: int = start + HEADER + length
+    if stop > len(content) or length > _LARGEST.get(opcode, _MOST_FACTS):
+        return 0
+    try:
+        # cheap, before anything is copied
+        if opcode == Opcode.CHUNK:
+            header = read_chunk_header(content[start : start + CHUNK_HEAD], stop - start)
+            if header.first_ns > header.last_ns or header.data_stop != stop - start:
+                return 0
+        if opcode == Opcode.ATTACHMENT and not _is_attachment(content, start + HEADER, stop):
+            return 0
+        _INTACT[opcode](places, content[start:stop])
+    except (*MALFORMED, EOFError, AssertionError):
+        return 0
+    places.add(opcode, start, stop)
+    return stop
+
+
+def _is_attachment(content: mmap.mmap, start: int, stop: int) -> bool:
+    """Return whether the sizes in what may be an attachment fit together."""
+    position = start + _ATTACHMENT_TIMES
+    for _ in range(2):  # its name and its type
+        if position + 4 > stop:
+            return False
+        position += 4 + int.from_bytes(content[position : position + 4], "little")
+    if position + 8 > stop:
+        return False
+    size = int.from_bytes(content[position : position + 8], "little")
+    return bool(position + 8 + size + 4 == stop)
+
+
+def _whole(kind: Any, record: bytes) -> Any:
+    """Read a record to its last byte."""
+    content = BytesIO(record[HEADER:])
+    value = kind.read(ReadDataStream(content))
+    if content.tell() != len(record) - HEADER:
+        raise ValueError("a record of another length")
+    return value
+
+
+def _check_chunk(places: Places, record: bytes) -> None:
+    if not read_chunk_header(record, len(record)).crc:
+        raise ValueError("a chunk without a CRC")
+    decompressed(record)
+
+
+def _check_schema(places: Places, record: bytes) -> None:
+    schema = _whole(records.Schema, record)
+    # some bytes look like a record of nothing
+    if schema.encoding != "protobuf" or not schema.name or not schema.data:
+        raise ValueError("a schema of another kind")
+
+
+def _check_channel(places: Places, record: bytes) -> None:
+    channel = _whole(records.Channel, record)
+    if channel.message_encoding != "protobuf" or not channel.topic.startswith("/"):
+        raise ValueError("a channel of another kind")
+    if any(key.startswith(PREFIX) for key in channel.metadata):
+        verify_checksum(_OF_CHANNELS, channel.metadata)
+
+
+def _check_metadata(places: Places, record: bytes) -> None:
+    item = _whole(records.Metadata, record)
+    if not item.name:
+        raise ValueError("metadata without a name")
+    verify_checksum(item.name, item.metadata)
+
+
+def check_attachment(record: bytes, *, needs_crc: bool = False) -> None:
+    """Check the CRC of an attachment.
+
+    Raises
+    ------
+    ValueError
+        If it does not match, or there is none and one is needed.
+    """
+    crc = int.from_bytes(record[-4:], "little")
+    if (needs_crc or crc) and isal_zlib.crc32(record[HEADER:-4]) != crc:
+        raise ValueError("the CRC of an attachment does not match its content")
+
+
+def _check_attachment(places: Places, record: bytes) -> None:
+    check_attachment(record, needs_crc=True)
+    parsed(records.Attachment, record[HEADER:])
+
+
+def _take_statistics(places: Places, record: bytes) -> None:
+    """Take the statistics of a file; nothing vouches for them but that they add up."""
+    found = _whole(records.Statistics, record)
+    if not found.message_count or sum(found.channel_message_counts.values()) != found.message_count:
+        raise ValueError("statistics that do not add up")
+    known = places.summary.statistics
+    if known is None or found.message_count > known.message_count:
+        places.summary.statistics = found
+
+
+_INTACT: Final[dict[int, Callable[[Places, bytes], None]]] = {
+    Opcode.CHUNK: _check_chunk,
+    Opcode.SCHEMA: _check_schema,
+    Opcode.CHANNEL: _check_channel,
+    Opcode.METADATA: _check_metadata,
+    Opcode.ATTACHMENT: _check_attachment,
+    Opcode.STATISTICS: _take_statistics,
+}

@@ -1,1 +1,0 @@
-"""Logs read: pieces of the file, checked; rows; a run as arrays."""

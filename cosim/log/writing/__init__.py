@@ -1,1 +1,0 @@
-"""Logs written: rows and messages of a run, in a thread beside it."""
