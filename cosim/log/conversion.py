@@ -1,14 +1,12 @@
 """A log as a file of another format: written under a hidden name, then moved to its own.
 
-Files of arrays: every signal is an array, and so are the instants of every component.
+Tables join the signals on time, as :mod:`cosim.core.recorded.joined_rows` says; Parquet is written
+a group of rows at a time. Every column holds doubles, null where a component has no row; unit,
+description and role of the signal are metadata of its field. Dictionaries are not used: they would
+merge all NaN, and both zeros.
 
-For npz the rows of one component at a time are in memory, for MAT those of all.
-
-Tables as Parquet, a group of rows at a time.
-
-Every column holds doubles, null where a component has no row; unit, description and role of the
-signal are metadata of its field. Dictionaries are not used: they would merge all NaN, and both
-zeros.
+Files of arrays (npz, MAT) have every signal with the instants of its component. For npz the rows of
+one component at a time are in memory, for MAT those of all.
 """
 
 from __future__ import annotations

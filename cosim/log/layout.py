@@ -1,4 +1,19 @@
-"""What the channels of a log declare: components, signals, the parts of wide rows, a selection."""
+"""How a component becomes MCAP channels, and how it is read back from their metadata.
+
+A component's row is one protobuf message of doubles, every one always written. All messages of a
+channel therefore have one size, and consecutive ones are a numpy structured array::
+
+    opcode u1 | length u8 | channel id u2 | sequence u4 | log time u8 | publish time u8
+    | tag, double | tag, double | ...
+
+Tags are constant: one byte up to field 15, two up to 2047, three from 2048 on. Protobuf for Python
+stops at 8190 doubles a message, so a component with more than 4096 elements is split into
+``/<component>``, ``/<component>.2``, ...
+
+Of a partial log the record ``cosim.record`` contains the selection and the names of all components;
+the metadata of each component contain its declaration with all signals, in the form in which a
+channel that holds them all would have it. The checksums of the records cover all of this.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""What a log begins and ends with."""
+"""What a log begins and ends with: schemas, channels, metadata, attachments; how the run ended.
+
+The record ``cosim.result`` says how, and so does the attachment ``result.json``, which has the
+values that the caller adds, too.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,15 @@
-"""The schema of a component's rows: fields, their comments, and how it is read again."""
+"""The protobuf schema of a component's rows, with legal names for any signal name.
+
+A protobuf field name is an identifier, and its JSON name drops the underscores and capitalizes the
+letter after each. Two fields with one JSON name (``x_1`` and ``x1``, ``a_b`` and ``aB``) make the
+stock decoders refuse the whole channel. So no two names differ only by underscores and case here;
+the original names stand in the channel's metadata, and in the comments of the schema
+(``source_code_info``), with what else people want to know of a field. Decoders skip these.
+
+Viewers find the elements of a signal by message paths. The grammar is that of Foxglove and
+Lichtblick: a topic, quoted where it has other characters than letters, digits, ``_``, ``-`` and
+``/``, a dot, a field: ``/plant.x_a_0``.
+"""
 
 from __future__ import annotations
 

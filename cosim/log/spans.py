@@ -1,4 +1,9 @@
-"""Spans of a run: cut out of its log, merged to one, or opened as one where it was rotated."""
+"""Spans of a run: cut out of its log, merged to one, or opened as one where it was rotated.
+
+The result is a log like any other. If it lacks rows of the run, its status is ``partial``, with the
+reason, and the result of the whole run, as far as it is known, is the metadata record
+``cosim.partial``: parts that are merged to all rows are the log of the run again.
+"""
 
 from __future__ import annotations
 
