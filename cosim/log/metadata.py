@@ -1,9 +1,9 @@
 """Metadata of a log: JSON, exact arrays, when and where the run began, its content hash.
 
 The content hash is one number for every bit of every signal of a run. It covers names,
-declarations, times and values, in the order of the rows, and nothing else: not the blocks the run was made in,
-nor the chunks, the compression or the order of the components in the file. Signals with the same
-hash have the same bits at the same times, in one log or in two.
+declarations, times and values, in the order of the rows, and nothing else: not the blocks the run
+was made in, nor the chunks, the compression or the order of the components in the file. Signals
+with the same hash have the same bits at the same times, in one log or in two.
 """
 
 from __future__ import annotations
