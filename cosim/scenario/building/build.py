@@ -138,8 +138,9 @@ class Builder:
         self._check_models()
         self._wrong: set[str] = set()  # components with problems that do not stop their build
         for name, interface in self._replaced.items():
-            own = scenario.maps.get(name, {})
-            self.problems += unknown_ports(scenario.tree, name, own, interface)
+            own = scenario.maps.get(name)
+            if own:
+                self.problems += unknown_ports(scenario.tree, name, own, interface)
         for name, spec in scenario.specs.items():
             self._build(name, spec)
         if not self.problems:  # of what is not built here, which would have told itself
@@ -392,7 +393,7 @@ class Builder:
     def _check_record(self) -> None:
         """Add the problem of what is chosen to be recorded, where all components are known."""
         selection = self.scenario.file.record.selection
-        if self.components and not self._invalid:
+        if selection.signals is not None and self.components and not self._invalid:
             channels = {channel.name: channel for channel in layout_of(self.components).channels}
             check = partial(chosen_signals, channels, selection, beside=self._declared)
             self._is_refused(("record", "signals"), check, "the run: ")

@@ -18,7 +18,7 @@ from cosim.arguments import mapping_argument, swap_argument
 from cosim.arrays import Mask, Vector
 from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock, whole_steps
-from cosim.core.connections import Connection, components_driving
+from cosim.core.connections import Connection, component_driving, components_driving
 from cosim.core.contracts import Component
 from cosim.core.linear import Linear, LinearModel
 from cosim.core.port import Port
@@ -351,8 +351,7 @@ class Scenario:
 
         None: nothing drives it, or sources of several components do.
         """
-        drivers = list(self.sources(to))
-        return drivers[0] if len(drivers) == 1 else None
+        return component_driving(self.connections, to)
 
     def sources(self, to: Port) -> frozenset[str]:
         """Return the components that drive an input, as a whole or by its elements."""

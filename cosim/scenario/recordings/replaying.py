@@ -348,6 +348,8 @@ class RebuiltRun:
         UsageError
             If a change reaches a recorded component; names the change.
         """
+        if not (self._changes or self._request.swaps):
+            return
         copied = self.part.copied
         drivers = self.scenario.drivers
         # a recorded one passes nothing on
