@@ -82,6 +82,8 @@ class Builder:
         Closes what was opened, FMUs above all, when the run is over.
     origins : Origins
         Where components come from, beside their tables.
+    problems : iterable of Problem
+        Of the tables, as :func:`read` returns them.
     replaced : mapping of component name to Interface, optional
         Of the components that swaps replaced, where they are known.
     beside : Scenario, optional
@@ -115,11 +117,12 @@ class Builder:
         resources: ExitStack,
         origins: Origins = TABLES_ALONE,
         *,
+        problems: Iterable[Problem] = (),
         replaced: Mapping[str, Interface] | None = None,
         beside: Scenario | None = None,
     ) -> None:
         self.scenario = scenario
-        self.problems = list(scenario.problems)
+        self.problems = list(problems)
         self._origins = origins
         self._replaced = replaced or {}
         invalid = self._check_times()
@@ -621,8 +624,8 @@ def asks_for_means(spec: Kind) -> bool:
     return getattr(spec, "input_interpolation", None) == "linear"
 
 
-def read(document: Document) -> Scenario:
-    """Read and validate a document; the scenario has the problems that it is not refused for.
+def read(document: Document) -> tuple[Scenario, list[Problem]]:
+    """Read and validate a document; return what is right in it, and the problems of the rest.
 
     Raises
     ------
@@ -641,10 +644,10 @@ def parse(document: Document) -> Scenario:
         With every problem that shows without building the components; if there is one, with every
         problem of the file that shows without its code.
     """
-    scenario = read(document)
-    if scenario.problems:
+    scenario, problems = read(document)
+    if problems:
         with ExitStack() as resources:
-            Builder(scenario, resources, DESCRIBED).check()
+            Builder(scenario, resources, DESCRIBED, problems=problems).check()
     return scenario
 
 
@@ -658,8 +661,9 @@ def describe(document: Document) -> Builder:
     ScenarioError
         With every problem of the file.
     """
+    scenario, problems = read(document)
     with ExitStack() as resources:
-        builder = Builder(read(document), resources, DESCRIBED)
+        builder = Builder(scenario, resources, DESCRIBED, problems=problems)
         builder.check()
         if not builder.unknown:
             builder.experiment()
