@@ -128,8 +128,8 @@ def _scenario(context: typer.Context) -> Scenario | None:
     for name in candidates:
         if isinstance(name, str):
             with suppress(CosimError, OSError):
-                scenario = read(find(name))
-                return None if scenario.problems else scenario
+                scenario, problems = read(find(name))
+                return None if problems else scenario
     return None
 
 

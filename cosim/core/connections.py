@@ -135,6 +135,15 @@ def components_driving(connections: Mapping[Port, Connection], to: Port) -> froz
     return frozenset(drivers)
 
 
+def component_driving(connections: Mapping[Port, Connection], to: Port) -> str | None:
+    """Return the component that drives an input alone, as a whole or by its elements.
+
+    None: nothing drives it, or sources of several components do.
+    """
+    drivers = list(components_driving(connections, to))
+    return drivers[0] if len(drivers) == 1 else None
+
+
 class ElementUnits(NamedTuple):
     """The units of an element of a source, after gain and offset, and of the element it drives."""
 

@@ -412,10 +412,10 @@ def load_scenario(scenario: str) -> Scenario:
 
 
 def _read_recorded(document: Document) -> Scenario:
-    scenario = replace(read(document), parse=_read_recorded)
-    if scenario.problems:
-        raise document.report(scenario.problems)
-    return scenario
+    scenario, problems = read(document)
+    if problems:
+        raise document.report(problems)
+    return replace(scenario, parse=_read_recorded)
 
 
 def read_study(name: str | Path) -> StudyFile:

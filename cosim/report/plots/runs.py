@@ -163,12 +163,18 @@ def curves_of(recording: Recording, port: str, *, run: str = "") -> list[Curve]:
     LogError
         If there is no such component, signal or element.
     """
+    elements = zip(_empty_curves(recording, port), rows_of(recording, port).T, strict=True)
+    times = recording.time_ns(Port.parse(port).component) / 1e9
+    return [replace(curve, times=times, values=values, run=run) for curve, values in elements]
+
+
+def _empty_curves(recording: Recording, port: str) -> list[Curve]:
+    """Return the curves of a port without its rows, which are not read for that."""
     found = recorded_port(recording, port)
-    times = recording.time_ns(found.channel.name) / 1e9
     names = Port.parse(port).element_names(found.size)
     held = found.signal.variability == "discrete"
-    elements = zip(names, found.measures, rows_of(recording, port).T, strict=True)
-    return [Curve(name, unit, times, values, held, run) for name, unit, values in elements]
+    elements = zip(names, found.measures, strict=True)
+    return [Curve(name, unit, np.empty(0), np.empty(0), held) for name, unit in elements]
 
 
 def difference_curves(first: Recording, other: Recording, port: str) -> list[Curve]:
@@ -201,16 +207,13 @@ def truth_curves(recording: Recording, estimate: str) -> list[Curve]:
     true = truth_of(recording).get(estimate)
     if true is None:
         return []
-    own = curves_of(recording, estimate)
+    own = _empty_curves(recording, estimate)
     ports = named_ports(true)
     if ports:
         signals = chain.from_iterable(curves_of(recording, port) for port in ports)
         return [one.in_unit_of(like) for one, like in zip(signals, own, strict=True)]
     values = np.atleast_1d(np.array(true, np.float64))
-    return [
-        replace(one, times=np.zeros(0), values=value[np.newaxis])
-        for one, value in zip(own, values, strict=True)
-    ]
+    return [replace(one, values=value[np.newaxis]) for one, value in zip(own, values, strict=True)]
 
 
 def error_curves(recording: Recording, estimate: str) -> list[Curve]:
@@ -223,11 +226,12 @@ def error_curves(recording: Recording, estimate: str) -> list[Curve]:
         return []
     curves = estimate_curves(recording, estimate)
     all_times = times = curves[0].times
-    rows = rows_of(recording, estimate)
     ports = named_ports(true)
     if ports:
         time_ns, rows, true = beside_truth(recording, estimate, ports)
         times = time_ns / 1e9
+    else:
+        rows = np.stack([curve.values for curve in curves], axis=1)
     errors = []
     for curve, values in zip(curves, (rows - np.array(true, np.float64)).T, strict=True):
         band = curve.band if len(times) == len(all_times) else None

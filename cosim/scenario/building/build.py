@@ -82,6 +82,8 @@ class Builder:
         Closes what was opened, FMUs above all, when the run is over.
     origins : Origins
         Where components come from, beside their tables.
+    problems : iterable of Problem
+        Of the tables, as :func:`read` returns them.
     replaced : mapping of component name to Interface, optional
         Of the components that swaps replaced, where they are known.
     beside : Scenario, optional
@@ -115,11 +117,12 @@ class Builder:
         resources: ExitStack,
         origins: Origins = TABLES_ALONE,
         *,
+        problems: Iterable[Problem] = (),
         replaced: Mapping[str, Interface] | None = None,
         beside: Scenario | None = None,
     ) -> None:
         self.scenario = scenario
-        self.problems = list(scenario.problems)
+        self.problems = list(problems)
         self._origins = origins
         self._replaced = replaced or {}
         invalid = self._check_times()
@@ -138,8 +141,9 @@ class Builder:
         self._check_models()
         self._wrong: set[str] = set()  # components with problems that do not stop their build
         for name, interface in self._replaced.items():
-            own = scenario.maps.get(name, {})
-            self.problems += unknown_ports(scenario.tree, name, own, interface)
+            own = scenario.maps.get(name)
+            if own:
+                self.problems += unknown_ports(scenario.tree, name, own, interface)
         for name, spec in scenario.specs.items():
             self._build(name, spec)
         if not self.problems:  # of what is not built here, which would have told itself
@@ -392,7 +396,7 @@ class Builder:
     def _check_record(self) -> None:
         """Add the problem of what is chosen to be recorded, where all components are known."""
         selection = self.scenario.file.record.selection
-        if self.components and not self._invalid:
+        if selection.signals is not None and self.components and not self._invalid:
             channels = {channel.name: channel for channel in layout_of(self.components).channels}
             check = partial(chosen_signals, channels, selection, beside=self._declared)
             self._is_refused(("record", "signals"), check, "the run: ")
@@ -620,8 +624,8 @@ def asks_for_means(spec: Kind) -> bool:
     return getattr(spec, "input_interpolation", None) == "linear"
 
 
-def read(document: Document) -> Scenario:
-    """Read and validate a document; the scenario has the problems that it is not refused for.
+def read(document: Document) -> tuple[Scenario, list[Problem]]:
+    """Read and validate a document; return what is right in it, and the problems of the rest.
 
     Raises
     ------
@@ -640,10 +644,10 @@ def parse(document: Document) -> Scenario:
         With every problem that shows without building the components; if there is one, with every
         problem of the file that shows without its code.
     """
-    scenario = read(document)
-    if scenario.problems:
+    scenario, problems = read(document)
+    if problems:
         with ExitStack() as resources:
-            Builder(scenario, resources, DESCRIBED).check()
+            Builder(scenario, resources, DESCRIBED, problems=problems).check()
     return scenario
 
 
@@ -657,8 +661,9 @@ def describe(document: Document) -> Builder:
     ScenarioError
         With every problem of the file.
     """
+    scenario, problems = read(document)
     with ExitStack() as resources:
-        builder = Builder(read(document), resources, DESCRIBED)
+        builder = Builder(scenario, resources, DESCRIBED, problems=problems)
         builder.check()
         if not builder.unknown:
             builder.experiment()

@@ -81,12 +81,10 @@ def with_loop_gains(experiment: Experiment, rebuild: Callable[[], Experiment]) -
     is_to_begin = LinearizedLoops.may_be_known(graph) or may_be_unresolved(graph, own)
     if not (is_to_begin or any(stage.is_loop for stage in graph.stages)):
         return experiment
-    said = experiment.messages
-    messages = {name: [*said.get(name, ()), *fmu.drain()] for name, fmu in fmus.items()}
-    plan = experiment.plan
-    row = None
+    messages = {name: fmu.drain() for name, fmu in fmus.items()}
+    plan = row = None
     if is_to_begin:
-        plan, row = _begun(graph, clock, plan)
+        plan, row = _begun(graph, clock, None)
     loops = LinearizedLoops(graph, clock)
     repeats = True
     unresolved = ""

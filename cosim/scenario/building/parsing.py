@@ -23,8 +23,10 @@ AnyTable = TypeVar("AnyTable", bound=BaseModel)
 STAND_INS = {"name": "unnamed", "stop": 1.0, "step": 1.0}  # for settings without a right value
 
 
-def read_tables(document: Document, parse: Callable[[Document], Scenario]) -> Scenario:
-    """Read and validate a document; return what is right in it, with the problems of the rest.
+def read_tables(
+    document: Document, parse: Callable[[Document], Scenario]
+) -> tuple[Scenario, list[Problem]]:
+    """Read and validate a document; return what is right in it, and the problems of the rest.
 
     Parameters
     ----------
@@ -71,7 +73,7 @@ def read_tables(document: Document, parse: Callable[[Document], Scenario]) -> Sc
         action = _validated(ActionTable, table, ("actions", number), problems)
         if action is not None:
             actions[number] = action
-    return Scenario(
+    scenario = Scenario(
         document,
         file,
         specs,
@@ -83,8 +85,8 @@ def read_tables(document: Document, parse: Callable[[Document], Scenario]) -> Sc
         frozenset(invalid),
         actions,
         tuple(notes),
-        tuple(problems),
     )
+    return scenario, problems
 
 
 def _validated(

@@ -31,7 +31,7 @@ from cosim.documents import document, understood
 from cosim.errors import GraphError, ScenarioError, UsageError, command, nearest, option, quoted
 from cosim.files import file_type, read_bounded
 from cosim.scenario.document.places import PORTS, Key, Problem, report, written
-from cosim.scenario.document.schema import ACTIONS, COMPONENTS, RESERVED
+from cosim.scenario.document.schema import ACTIONS, COMPONENTS, RESERVED, TABLES
 from cosim.scenario.document.swaps import (
     MAP,
     PortNames,
@@ -46,8 +46,6 @@ from cosim.scenario.document.swaps import (
 SUFFIX: Final = ".toml"
 LARGEST: Final = 2**26  # bytes of a scenario
 MOST_LEVELS: Final = 50  # of tables and lists inside each other
-# what a dotted key may begin with, beside a component
-TABLES: Final = ("scenario", "models", *PORTS, ACTIONS, "record")
 _SET: Final = "(set)"  # first part of the key of a problem with an edit, which stands in no file
 _TOO_DEEP: Final = f"expected tables and lists nested at most {MOST_LEVELS} levels deep, got more"
 _CLOSING: Final = {"[": "]", "{": "}", "(": ")", "'": "'", '"': '"'}
@@ -419,7 +417,7 @@ class Document:
             place = given.parent.resolve() / given.name
             paths[name] = os.path.relpath(place, self.folder.resolve())
         kept = dict(self.maps)
-        if kept:
+        if kept and swaps:
             tables = self.tables()
             ports = WrittenPorts(tables.tree)
             for port in self.maps:

@@ -137,8 +137,10 @@ Name = Annotated[str, AfterValidator(_check_name)]
 
 ACTIONS: Final = "actions"  # a list of tables
 COMPONENTS: Final = "components"
+# what a dotted key may begin with, beside a component
+TABLES: Final = ("scenario", "models", *PORTS, ACTIONS, "record")
 # what a short key of an edit begins with is one of these tables, or else a component
-RESERVED: Final = ("scenario", "models", *PORTS, ACTIONS, "record", "swap", COMPONENTS)
+RESERVED: Final = (*TABLES, "swap", COMPONENTS)
 
 
 class TomlTable(BaseModel):

@@ -173,9 +173,7 @@ class DesignSubject:
         self._upstream = frozenset(scenario.upstream(observer).specs)
         self._edits = dict(self._without_noise())
         self.theta = self._theta(theta)
-        if any(
-            (to.component, to.signal) == (self.regressor, "alpha") for to in scenario.connections
-        ):
+        if scenario.sources(Port(self.regressor, "alpha")):
             self._upstream = frozenset(scenario.upstream(self.regressor).specs)
 
     def _without_noise(self) -> Iterator[tuple[str, Any]]:

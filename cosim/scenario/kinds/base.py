@@ -18,7 +18,7 @@ from cosim.arguments import mapping_argument, swap_argument
 from cosim.arrays import Mask, Vector
 from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock, whole_steps
-from cosim.core.connections import Connection, components_driving
+from cosim.core.connections import Connection, component_driving, components_driving
 from cosim.core.contracts import Component
 from cosim.core.linear import Linear, LinearModel
 from cosim.core.port import Port
@@ -30,7 +30,7 @@ from cosim.core.structure.ports import unknown_port
 from cosim.errors import UsageError, nearest
 from cosim.instants import StepNs, step_seconds, step_value
 from cosim.scenario.document.document import Document
-from cosim.scenario.document.places import Key, Problem
+from cosim.scenario.document.places import Key
 from cosim.scenario.document.schema import ActionTable, AnyUnit, File, StepTime, TomlTable
 from cosim.scenario.document.swaps import Map, PortNames, ports_in
 from cosim.scenario.kinds.build_record import TABLES_ALONE, BuildRecord, DependsOnInvalid, Origins
@@ -318,8 +318,6 @@ class Scenario:
         Those of [[actions]] whose tables are right.
     notes : tuple of (component name, text)
         What becomes of the inputs of components that follow none.
-    problems : tuple of Problem
-        Of the tables; a scenario that users load has none.
     starter : callable or None
         Starts the scenario (:mod:`cosim.scenario.running.execution`); None: it is only read here.
     """
@@ -335,7 +333,6 @@ class Scenario:
     invalid: frozenset[Key] = frozenset()
     actions: Mapping[int, ActionTable] = field(default_factory=dict)
     notes: tuple[tuple[str, str], ...] = ()
-    problems: tuple[Problem, ...] = ()
     starter: Callable[..., Session] | None = field(default=None, compare=False)
 
     def __repr__(self) -> str:
@@ -351,8 +348,7 @@ class Scenario:
 
         None: nothing drives it, or sources of several components do.
         """
-        drivers = list(self.sources(to))
-        return drivers[0] if len(drivers) == 1 else None
+        return component_driving(self.connections, to)
 
     def sources(self, to: Port) -> frozenset[str]:
         """Return the components that drive an input, as a whole or by its elements."""

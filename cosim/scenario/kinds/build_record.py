@@ -29,7 +29,6 @@ from cosim.scenario.record import (
 )
 
 if TYPE_CHECKING:
-    from cosim.blocks.field_data import FieldData
     from cosim.fmi.component import Fmu
     from cosim.fmi.driving.model_exchange import ModelExchange
     from cosim.fmi.linearizing.linearization import Linearization
@@ -257,14 +256,9 @@ class BuildRecord:
         return path
 
     def designed(self, name: str, design: Callable[[], T]) -> T:
-        """Return the design of a component, which is made once in a build, whoever asks for it."""
+        """Return what a component rests on, its design or its samples: made once in a build."""
         with self.reported_by(name):
             return self.made_once("design", name, design)
-
-    def field_data(self, name: str, read: Callable[[], FieldData]) -> FieldData:
-        """Return the samples of a component, which are read once."""
-        with self.reported_by(name):
-            return self.made_once("samples", name, read)
 
     @contextmanager
     def reported_by(self, name: str) -> Iterator[None]:

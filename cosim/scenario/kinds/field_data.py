@@ -187,7 +187,7 @@ class FieldDataKind(FieldForm, PlantKind, DecidedByStep, HasSamples, RenamesMore
             data = self._of_mcap(name, path, context) if self.is_mcap else field_data(path, self)
             return at_points(data, context.clock.points)
 
-        return context.field_data(name, read)
+        return context.designed(name, read)
 
     def _of_mcap(self, name: str, path: Path, context: BuildContext) -> FieldData:
         """Read fields of an MCAP in one pass with those of the components from the same file.

@@ -21,7 +21,7 @@ from cosim.blocks.identification_problem import IdentificationProblem, Identific
 from cosim.blocks.output_error_identifier import OutputErrorIdentifier
 from cosim.blocks.sampled import Decimated
 from cosim.core.clock import whole_steps
-from cosim.core.connections import Connection, components_driving
+from cosim.core.connections import Connection, component_driving
 from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.core.signals import PortUnit
@@ -172,13 +172,13 @@ class IdentifierKind(PeriodicKind, ExportableKind, DecidedByStep):
         """
         implied: dict[Port, ImpliedConnection] = {}
         inputs = METHODS[self.method].inputs
-        regressor = _driver(connections, Port(name, "regressor"))
+        regressor = component_driving(connections, Port(name, "regressor"))
         if regressor is not None:
             kind = specs.get(regressor)
             if "alpha" in inputs and isinstance(kind, RegressorKind):
                 implied |= alpha_connections(name, kind.alphas, regressor)
             origins = {"delta": Port(regressor, "delta")}
-            observer = _driver(connections, origins["delta"])
+            observer = component_driving(connections, origins["delta"])
             if observer is not None:
                 origins |= {"y": Port(observer, "y"), "u": Port(observer, "u")}
             for signal, origin in origins.items():
@@ -501,9 +501,3 @@ def _recovery_notes(recovery: Recovery) -> list[str]:
         if group.kind is RecoveryKind.EXPONENTIALS:
             notes.append(f"{names}: two exponentials under one alpha come back the larger first")
     return notes
-
-
-def _driver(connections: Mapping[Port, Connection], to: Port) -> str | None:
-    """Return the component that drives an input alone; None: there is no such component."""
-    drivers = list(components_driving(connections, to))
-    return drivers[0] if len(drivers) == 1 else None

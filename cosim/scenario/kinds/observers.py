@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from cosim.arrays import Matrix, Vector
+from cosim.arrays import Matrix, Vector, as_columns
 from cosim.blocks.measurement import per_element
 from cosim.blocks.observer import averaged_observer, observer_model
 from cosim.blocks.plant import initial_vector
@@ -499,8 +499,7 @@ class UnknownInputObserverKind(
         """
         L = None
         if self.L is not None:
-            L = array_of(self.L, "L")
-            L = L if L.ndim == 2 else L[:, np.newaxis]
+            L = as_columns(array_of(self.L, "L"))
             if reduced.coordinates is not None:
                 needed = (len(reduced.coordinates.X), len(reduced.C3))
                 if L.shape != needed:

@@ -426,6 +426,8 @@ def propose(
     most of: declared unit, number of direct dependencies, initial output, static gains; several
     where they are equally likely.
     """
+    if not missing:
+        return ()
     candidates = {}
     for name, port in after.ports.items():
         if name not in before.ports:

@@ -100,7 +100,8 @@ def recorded_stop(log: CompleteRecording) -> float:
     ScenarioError
         If that is no TOML.
     """
-    return read(recorded_document(log)).file.scenario.stop
+    scenario, _ = read(recorded_document(log))
+    return scenario.file.scenario.stop
 
 
 # --- its rows ---

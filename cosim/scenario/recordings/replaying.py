@@ -129,11 +129,10 @@ class RebuiltRun:
         self._original = recorded_document(source)
         # a run may have ended before its stop
         document = self._edited({**self._changes, "scenario.stop": stop})
-        self.scenario = read(document)
-        problems = self.scenario.problems
+        self.scenario, problems = read(document)
         if not request.maps:
             # recorded ports have the scenario's names: a map need not fit changed connections
-            problems = tuple((key, text) for key, text in problems if not is_map_key(key))
+            problems = [(key, text) for key, text in problems if not is_map_key(key)]
         named = self._named(document)
         specs = dict(self.scenario.specs)
         for name, spec in specs.items():
@@ -144,7 +143,7 @@ class RebuiltRun:
         if request.rerun:
             again, fmus_again = rerun_plants(source, specs, request, resources)
             specs |= again
-        self.scenario = replace(self.scenario, specs=specs, problems=problems)
+        self.scenario = replace(self.scenario, specs=specs)
         self.part = replayed_part(source, self.scenario, request.components)
         load_rows(source, [name for name in self.part.copied if name in source.channels])
         declared = declared_channels(source.channels)
@@ -158,6 +157,7 @@ class RebuiltRun:
                 left_out=self.part.left_out,
                 fmus_again=fmus_again,
             ),
+            problems=problems,
             replaced=replaced,
             beside=self.scenario,
         )
@@ -348,6 +348,8 @@ class RebuiltRun:
         UsageError
             If a change reaches a recorded component; names the change.
         """
+        if not (self._changes or self._request.swaps):
+            return
         copied = self.part.copied
         drivers = self.scenario.drivers
         # a recorded one passes nothing on

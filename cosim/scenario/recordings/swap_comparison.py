@@ -67,7 +67,8 @@ def compare_swaps(scenario: Scenario, unpacked: UnpackedFmus | None = None) -> S
     replaced: dict[str, Interface] = {}
     unbuilt: dict[str, str] = {}
     with Resources(unpacked) as resources, suppress(CosimError):
-        builder = Builder(read(scenario.document.unswapped()), resources)
+        unswapped, problems = read(scenario.document.unswapped())
+        builder = Builder(unswapped, resources, problems=problems)
         built = _Built(builder)
         for name in scenario.document.tables().replaced:
             if name in builder.components:
