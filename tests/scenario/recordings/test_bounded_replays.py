@@ -57,7 +57,7 @@ def small_limits(monkeypatch):
     make_chunks_small(monkeypatch, 2**16)
     monkeypatch.setattr(store, "_LARGEST_FLUSH", 2**18)
     monkeypatch.setattr(store, "_BUFFER_BYTES", 2**18)
-    for limit in ("_MOST_WHOLE", "_MOST_KEPT", "_MOST_AHEAD", "_ALWAYS_AHEAD", "_MOST_OF_ALL"):
+    for limit in ("_MOST_WHOLE", "_MOST_KEPT"):
         monkeypatch.setattr(log_rows, limit, 2**14)
 
 
