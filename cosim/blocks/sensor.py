@@ -152,7 +152,7 @@ class Sensor:
             outputs,
             feedthrough=by_u if now else {},
             initial=by_u,
-            delayed=() if now else ("u",),
+            delayed=("u",),
             jumping=("y",) if now and self._quantizes and not self._holds else (),
             prepares=True,
             rollback=True,

@@ -12,7 +12,8 @@ from scipy.stats import chi2
 
 from cosim.blocks.measurement import DRAWN_AHEAD, SamplingInstants, SensorParameters
 from cosim.blocks.sensor import Sensor
-from cosim.blocks.source import Noise
+from cosim.blocks.source import Noise, sine
+from cosim.core import Clock, Graph, Memory, run
 from cosim.errors import UsageError
 from cosim.native.blocks.sensor import DrawnSamples, SensorConstants, SensorStep
 from tests.blocks.stepping import drive, times
@@ -391,8 +392,25 @@ def test_only_what_reaches_the_present_feeds_through(parameters, is_fed):
     """A delay of a step beyond the jitter opens a loop; the first output is the first input's."""
     interface = Sensor(SensorParameters(**parameters)).interface
     assert interface.feeds("y") == (("u",) if is_fed else ())
-    assert interface.delayed == (() if is_fed else ("u",))
+    assert interface.delayed == ("u",)
     assert interface.feeds_initially("y") == ("u",)
+
+
+@pytest.mark.parametrize("parameters", [{"period": 4}, {"delay": 0.5}, {"jitter": 0.5, "seed": 1}])
+def test_it_samples_the_same_where_others_take_the_latest_values(parameters):
+    """A sample is taken at its instant: the end of the step changes none of them."""
+    runs = []
+    for interpolation in ("zero-order", "latest"):
+        graph = Graph(
+            {"s": sine(rate=300.0), "m": Sensor(SensorParameters(**parameters))},
+            {"m.u": "s.y"},
+            input_interpolation=interpolation,
+        )
+        memory = Memory()
+        run(graph, Clock(step=1e-3, stop=0.02), memory)
+        runs.append(memory)
+    assert (runs[0]["m.y"] == runs[1]["m.y"]).all()
+    assert np.ptp(runs[0]["m.y"]) > 0.5
 
 
 def test_y_is_interpolated_as_its_input_is():
