@@ -152,12 +152,13 @@ class Sensor:
             outputs,
             feedthrough=by_u if now else {},
             initial=by_u,
-            delayed=("u",),
+            delayed=() if now else ("u",),
             jumping=("y",) if now and self._quantizes and not self._holds else (),
             prepares=True,
             rollback=True,
             native=True,
             linearizable=self._is_linear,
+            samples=True,
         )
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:

@@ -571,6 +571,7 @@ class Graph:
             (self.coupling == "jacobi" and self.iterations == 1)
             # a delay takes its inputs there, whatever becomes of them in the step
             or channel.interface.delayed
+            or channel.interface.samples
         )
         return Member(
             channel,

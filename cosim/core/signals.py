@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Final, Literal, TypeAlias, get_args
@@ -293,6 +293,9 @@ class Interface:
     one_value : tuple of input names
         Continuous inputs that have one value over a whole step: the component has ``take_wiring``
         (:class:`cosim.core.contracts.Wired`).
+    samples : bool
+        Whether it takes its inputs at communication points alone, as a sensor does, also where they
+        feed through: a graph of ``input_interpolation = "latest"`` gives them as they are there.
 
     Raises
     ------
@@ -318,6 +321,7 @@ class Interface:
     locates_events: bool = False
     continuous: bool = False
     one_value: tuple[str, ...] = ()
+    samples: bool = False
 
     def __post_init__(self) -> None:
         # What is declared must not change later: copies, and nothing that can be written to.
@@ -334,14 +338,10 @@ class Interface:
 
     def __reduce__(self) -> tuple[Any, ...]:
         # A mapping proxy can be neither pickled nor copied; the dictionary in it can.
-        feedthrough = dict(self.feedthrough)
-        initial = dict(self.initial)
-        values = (self.inputs, self.outputs, feedthrough, initial, self.delayed)
-        methods = (self.prepares, self.rollback, self.native, self.linearizable)
-        jumps = (self.jumping, self.left_limits)
-        events = (self.keeps_events, self.locates_events)
-        others = (self.restarts, self.lagging, *jumps, self.substeps, *events)
-        return Interface, (*values, *methods, *others, self.continuous, self.one_value)
+        values = (getattr(self, field.name) for field in fields(self))
+        return Interface, tuple(
+            dict(value) if isinstance(value, Mapping) else value for value in values
+        )
 
     def _dependencies(self, key: str, declared: Dependencies) -> dict[str, tuple[str, ...] | None]:
         """Return a copy of declared dependencies, after a check of the names."""
