@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from cosim.core.recorded.signals import RecordedPort, find_signal
 from cosim.core.signals import Channel, Signal
-from cosim.log.schema import message_paths
+from cosim.log.messages import message_paths
 from cosim.units import with_unit
 
 LAYOUT_FILE: Final = "viewer-layout.json"

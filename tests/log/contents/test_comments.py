@@ -10,9 +10,9 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.log import Log, McapRecorder
-from cosim.log.checksum import add_checksum
 from cosim.log.layout import read_part, signals_json, split_channel
-from cosim.log.preamble import part_schema
+from cosim.log.metadata import add_checksum
+from cosim.log.preamble import part_schemas
 from tests.log.crafting import without_checksum
 from tests.log.recordings import blocks, plan, same_bits, table
 
@@ -24,6 +24,12 @@ INTERFACE = Interface(
         Signal("on", type="boolean", variability="discrete"),
     ),
 )
+
+
+def schema_of(part):
+    """Return the FileDescriptorSet of a part."""
+    ((_, data),) = part_schemas([part])
+    return data
 
 
 def comments(data):
@@ -38,7 +44,7 @@ def comments(data):
 def test_every_field_has_a_comment_with_name_unit_role_and_description():
     """The paths are those of descriptor.proto: 4 a message of the file, 2 a field of it."""
     (part,) = split_channel(Channel("plant", INTERFACE, 0), kind="descriptor", step_ns=1)
-    found, message = comments(part_schema(part, "plant"))
+    found, message = comments(schema_of(part))
     assert found == {
         (4, 0): " plant, descriptor\n",
         (4, 0, 2, 0): " u [N], input: force on the mass\n",
@@ -54,7 +60,7 @@ def test_every_field_has_a_comment_with_name_unit_role_and_description():
 def test_protobuf_takes_a_schema_with_comments():
     """Every location has a span of three or four numbers, as descriptor.proto demands."""
     (part,) = split_channel(Channel("plant", INTERFACE, 0), kind="", step_ns=1)
-    (file,) = descriptor_pb2.FileDescriptorSet.FromString(part_schema(part, "plant")).file
+    (file,) = descriptor_pb2.FileDescriptorSet.FromString(schema_of(part)).file
     assert all(len(location.span) in (3, 4) for location in file.source_code_info.location)
     pool = descriptor_pool.DescriptorPool()
     pool.Add(file)
@@ -66,8 +72,8 @@ def test_parts_of_a_wide_component_have_the_comments_of_their_own_elements():
     """The second part begins inside a signal."""
     wide = Interface((Signal("u"),), (Signal("y", 5000, unit="K", description="temperatures"),))
     parts = split_channel(Channel("wide", wide, 0), kind="", step_ns=1)
-    first, _ = comments(part_schema(parts[0], "wide"))
-    second, _ = comments(part_schema(parts[1], "wide_2"))
+    first, _ = comments(schema_of(parts[0]))
+    second, _ = comments(schema_of(parts[1]))
     assert first[4, 0, 2, 1] == " y[0] [K], output: temperatures\n"
     assert second[4, 0, 2, 0] == " y[4095] [K], output\n"
     assert len(first) + len(second) == 2 + 5001
@@ -77,7 +83,7 @@ def test_a_description_with_half_a_character_can_be_written():
     """JSON of the metadata keeps it, a text of protobuf cannot."""
     odd = Interface((), (Signal("y", description="a\ud800b"),))
     (part,) = split_channel(Channel("odd", odd, 0), kind="", step_ns=1)
-    found, _ = comments(part_schema(part, "odd"))
+    found, _ = comments(schema_of(part))
     assert found[4, 0, 2, 0] == " y, output: a?b\n"
 
 

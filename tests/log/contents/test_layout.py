@@ -13,17 +13,17 @@ from hypothesis import strategies as st
 
 from cosim.core.signals import Channel, Interface, Signal
 from cosim.errors import GraphError
-from cosim.log.checksum import add_checksum
 from cosim.log.layout import (
     blank_records,
-    copy_values,
+    copy_columns,
     group_columns,
     read_part,
     record_dtype,
     signals_json,
     split_channel,
 )
-from cosim.log.schema import component_schema
+from cosim.log.messages import component_schema
+from cosim.log.metadata import add_checksum
 from cosim.units import BASE, BaseUnit
 from tests.log.crafting import without_checksum
 from tests.log.decoding import message_class
@@ -44,7 +44,7 @@ def test_records_are_protobuf_at_every_width_of_tags(subtests):
         data = records[1].tobytes()
         message = kind.FromString(data[MESSAGE_HEADER:])
         copied = np.empty_like(values)
-        copy_values(records, copied)
+        copy_columns(records, copied, size=size, columns=slice(0, size))
         with subtests.test(case=size):
             assert struct.unpack_from("<BQH", data) == (5, len(data) - 9, 7)
             assert [getattr(message, field) for field in fields] == list(values[1])
@@ -56,7 +56,7 @@ def test_records_with_other_fields_are_refused():
     records = blank_records(1, 3, 2)
     records["short"]["tag"][1, 0, 0] = 0x11
     with pytest.raises(ValueError, match="fields of the messages differ"):
-        copy_values(records, np.empty((2, 3)))
+        copy_columns(records, np.empty((2, 3)), size=3, columns=slice(0, 3))
 
 
 bases = st.builds(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cosim.core.signals import Channel, Interface, Layout, Signal
-from cosim.log.schema import message_paths
+from cosim.log.messages import message_paths
 from tests.log.contents.viewing import decoded, parsed
 from tests.log.recordings import record
 

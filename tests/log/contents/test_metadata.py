@@ -6,8 +6,7 @@ import json
 
 import pytest
 
-from cosim.log.checksum import add_checksum, verify_checksum
-from cosim.log.metadata import decode_design, encode_design
+from cosim.log.metadata import add_checksum, decode_design, encode_design, verify_checksum
 from tests.log.recordings import plan, same_bits
 
 

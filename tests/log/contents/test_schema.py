@@ -13,7 +13,7 @@ from cosim.log.layout import (
     blank_records,
     group_columns,
 )
-from cosim.log.schema import component_schema, identifiers
+from cosim.log.messages import component_schema, identifiers
 from tests.log.decoding import message_class
 
 MESSAGE_HEADER = 31  # bytes before the protobuf message

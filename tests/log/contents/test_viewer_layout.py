@@ -7,7 +7,7 @@ import json
 from cosim.core.recorded.signals import find_signal
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.log import Attachment, Log
-from cosim.log.schema import message_paths
+from cosim.log.messages import message_paths
 from cosim.log.viewer_layout import (
     LAYOUT_FILE,
     MOST_PANELS,

@@ -184,7 +184,7 @@ def _with_recorder(job, pipe):
     def report(log, flushed):
         nonlocal written
         add(log, flushed)
-        written += len(flushed.rows.steps)
+        written += len(flushed.steps)
         pipe.send(written)
 
     store.LogStore.add = report

@@ -17,7 +17,7 @@ import pytest
 
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import GraphError, Interrupted, LogError, LogWriteError, NonFiniteError
-from cosim.log import McapRecorder, container, open_log, recorder, unfinished
+from cosim.log import McapRecorder, container, files, open_log, recorder
 from tests.log.disks import FullDisk
 from tests.log.recordings import (
     STEP_NS,
@@ -119,7 +119,7 @@ def test_a_file_that_came_meanwhile_is_not_replaced(tmp_path, monkeypatch, linke
     """With and without hard links, at the first row and at the end of a run without any."""
     path = tmp_path / "a.mcap"
     if not linked:
-        monkeypatch.setattr(unfinished.os, "link", no_links)
+        monkeypatch.setattr(files.os, "link", no_links)
 
     run = list(blocks(table(layout(), 10), 10))
 
@@ -145,7 +145,7 @@ def no_links(source, target):
 
 def test_a_file_system_without_hard_links_will_do(tmp_path, monkeypatch):
     """The name is reserved and then replaced."""
-    monkeypatch.setattr(unfinished.os, "link", no_links)
+    monkeypatch.setattr(files.os, "link", no_links)
     record(tmp_path / "a.mcap", steps=20)
     assert open_log(tmp_path / "a.mcap").steps == 20
     assert list(tmp_path.iterdir()) == [tmp_path / "a.mcap"]
@@ -169,7 +169,7 @@ def test_a_folder_lost_before_the_first_row_is_an_error(tmp_path):
 
 def test_an_interrupt_in_begin_leaves_no_trace(path, force, monkeypatch, subtests):
     """Wherever it comes."""
-    functions = ("add_parts", "add_preamble", "LiveFile", "BackgroundWriter", "library_name")
+    functions = ("begin_file", "LogStore", "BackgroundWriter")
     for function, error in product(functions, (KeyboardInterrupt(), MemoryError())):
 
         def interrupt(*args, error=error, **kwargs):
@@ -184,7 +184,7 @@ def test_an_interrupt_in_begin_leaves_no_trace(path, force, monkeypatch, subtest
 
 def test_a_disk_full_from_the_start_leaves_the_old_log(path, force, monkeypatch):
     """What cannot even begin replaces nothing."""
-    monkeypatch.setattr(unfinished, "create", lambda path: FullDisk(path, 1))
+    monkeypatch.setattr(files, "create", lambda path: FullDisk(path, 1))
     with pytest.raises(LogError, match=r"a\.mcap cannot be written: No space left"):
         attempt(path, force)
     assert untouched(path, force)

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from cosim.log.background import RunContent, RunRows
+from cosim.log.background import RunContent
+from cosim.log.files import UnfinishedLog
 from cosim.log.layout import split_channel
-from cosim.log.live_file import LiveFile
-from cosim.log.mcap_records import FileHead
-from cosim.log.preamble import add_parts, add_preamble
+from cosim.log.preamble import begin_file
 from cosim.log.store import LogOptions, LogStore
-from cosim.log.unfinished import UnfinishedLog
 from tests.log.recordings import STEP_NS
 
 
 class Unplaced(UnfinishedLog):
-    """The place of a log that is in memory."""
+    """The place of a log that is written to a stream."""
+
+    def __init__(self, stream):
+        super().__init__("x.mcap", force=False)
+        self.create = lambda: stream
 
     def publish(self):
         self.published = True
@@ -26,15 +28,13 @@ class Unplaced(UnfinishedLog):
 
 def open_store(stream, plan, *, compression="none", metadata=None, attachments=()):
     """Return the store of a new log, written to a stream."""
-    head = FileHead(library="cosim/test")
     parts = []
     for channel in plan.layout.channels:
         parts += split_channel(channel, kind="", step_ns=plan.step_ns)
-    numbered = list(zip(add_parts(head, parts), parts, strict=True))
-    add_preamble(head, plan, metadata=metadata or {}, attachments=attachments, kinds={})
-    file = LiveFile(stream, head.data, head.summary())
-    place = Unplaced("x.mcap", force=False)
-    store = LogStore(place, file, head, plan, numbered, LogOptions(compression))
+    options = {"metadata": metadata or {}, "attachments": attachments, "kinds": {}}
+    head, ids = begin_file(plan, parts, **options)
+    numbered = list(zip(ids.values(), parts, strict=False))
+    store = LogStore(Unplaced(stream), plan, head, numbered, LogOptions(compression))
     store.begin(0)
     return store
 
@@ -42,4 +42,4 @@ def open_store(stream, plan, *, compression="none", metadata=None, attachments=(
 def content(rows, start, stop, messages=()):
     """Return rows ``start`` to ``stop`` of a run, and messages."""
     steps = np.arange(start, stop, dtype=np.int64)
-    return RunContent(RunRows(steps, steps * STEP_NS, rows[start:stop]), messages)
+    return RunContent(steps, steps * STEP_NS, rows[start:stop], messages)

@@ -16,8 +16,7 @@ def test_rows_of_a_block_under_way_are_written_once():
     grown = threading.Event()
 
     def add(content):
-        rows = content.rows
-        written.extend(zip(rows.steps.tolist(), rows.values[:, 0].tolist(), strict=True))
+        written.extend(zip(content.steps.tolist(), content.values[:, 0].tolist(), strict=True))
         if len(written) == 31:
             grown.set()
 
@@ -43,7 +42,7 @@ def test_rows_are_in_order_however_a_buffer_is_handed_over():
     values = np.arange(10.0 * count + 1).reshape(-1, 1)
     under_way = [CLOCK.block_at(0, 0), values[:1]]
     writer = BackgroundWriter(
-        lambda content: written.extend(content.rows.steps.tolist()),
+        lambda content: written.extend(content.steps.tolist()),
         capacity=7,
         width=1,
         interval=0.0,
@@ -56,5 +55,5 @@ def test_rows_are_in_order_however_a_buffer_is_handed_over():
         writer.write(block, values[10 * number : 10 * number + 11], 1)
     rest = writer.close()
     if rest is not None:
-        written += rest.rows.steps.tolist()
+        written += rest.steps.tolist()
     assert written == list(range(10 * count + 1))

@@ -12,9 +12,8 @@ from mcap.reader import make_reader
 
 from cosim.errors import LogWriteError, UsageError
 from cosim.log import McapRecorder, open_log
-from cosim.log.files import Rotation
+from cosim.log.files import Rotation, UnfinishedLog
 from cosim.log.spans import merge
-from cosim.log.unfinished import UnfinishedLog
 from tests.log.recordings import (
     LATE,
     STEP_NS,

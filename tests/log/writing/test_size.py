@@ -19,7 +19,6 @@ def test_no_log_is_larger_than_its_bound(tmp_path, monkeypatch, flushed, subtest
     """Also with a flush after every step, as of a run with a second of work a step."""
     if flushed:
         make_chunks_small(monkeypatch, 2000)
-        monkeypatch.setattr("cosim.log.recorder.CHUNK_BYTES", 2000)
     for compression, (wide, count) in product(("none", "zstd", "lz4"), SHAPES):
         steps = min(count, 100) if flushed else count
         path = tmp_path / f"{compression} {wide} {steps}.mcap"

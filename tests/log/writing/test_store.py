@@ -30,10 +30,7 @@ def write(failing):
             written += count
         store.finish(content(ROWS, written, written + 5), EndOfRun("complete", ""), {})
     except OSError:
-        try:
-            store.close(EndOfRun("failed", "the disk"), {})
-        except OSError:
-            store.abandon()
+        store.fail("the disk", {})
         return stream, written
     return stream, written + 5
 

@@ -17,7 +17,7 @@ from mcap.reader import NonSeekingReader, make_reader
 import cosim
 from cosim.core.contracts import Stopped
 from cosim.errors import Interrupted, LogError, LogWriteError
-from cosim.log import Attachment, McapRecorder, open_log, unfinished
+from cosim.log import Attachment, McapRecorder, files, open_log
 from tests.log.decoding import message_class
 from tests.log.disks import FullDisk
 from tests.log.recordings import (
@@ -214,7 +214,7 @@ def test_a_full_disk_leaves_a_whole_file(tmp_path, monkeypatch, subtests):
     statuses = set()
     for room in range(12, 36, 3):
         path = tmp_path / f"{room}.mcap"
-        monkeypatch.setattr(unfinished, "create", lambda path, room=room: FullDisk(path, room))
+        monkeypatch.setattr(files, "create", lambda path, room=room: FullDisk(path, room))
         message = (
             rf"{room}\.mcap cannot be written further: No space left on device; .*= ([\d.]+) s"
         )
@@ -239,7 +239,7 @@ def test_a_full_disk_leaves_a_whole_file(tmp_path, monkeypatch, subtests):
 
 def test_a_disk_full_from_the_start_leaves_nothing(tmp_path, monkeypatch):
     """A log that cannot even begin is an error before the run."""
-    monkeypatch.setattr(unfinished, "create", lambda path: FullDisk(path, 1))
+    monkeypatch.setattr(files, "create", lambda path: FullDisk(path, 1))
     with pytest.raises(LogError, match=r"a\.mcap cannot be written: No space left"):
         record(tmp_path / "a.mcap")
     assert not list(tmp_path.iterdir())
