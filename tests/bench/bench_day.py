@@ -20,7 +20,7 @@ from cosim.core.recording import Plan
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.log.background import RunContent
 from cosim.log.store import LogStore
-from tests.log.writing.direct import open_store
+from tests.log.direct import open_store
 
 DAY = 86_400  # s
 RATE = 10  # rows a second

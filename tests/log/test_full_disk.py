@@ -13,7 +13,7 @@ import pytest
 
 from cosim.cli import main
 from cosim.log import open_log
-from tests.log.mcap_file.killed import processes, reports
+from tests.log.killed import processes, reports
 from tests.log.recordings import same_bits
 
 pytestmark = [

@@ -21,8 +21,8 @@ from cosim.core.recorders import EndOfRun
 from cosim.log import McapRecorder, open_log, store
 from cosim.log.live_file import PAGE
 from cosim.log.mcap_records import HEADER, IndexEntry, RecordGroup, encoded, record_header
+from tests.log.direct import content, open_store
 from tests.log.recordings import STEP_NS, blocks, layout, plan, same_bits
-from tests.log.writing.direct import content, open_store
 
 WIDE = 1000  # doubles of a row, so that a chunk has few rows
 

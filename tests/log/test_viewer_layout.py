@@ -16,8 +16,8 @@ from cosim.log.viewer_layout import (
     layout_json,
     output_panels,
 )
-from tests.log.contents.viewing import curves, decoded, leaves, parsed
 from tests.log.recordings import record
+from tests.log.viewing import curves, decoded, leaves, parsed
 
 
 def channels_of(*interfaces):

@@ -15,8 +15,16 @@ from itertools import product
 import numpy as np
 import pytest
 
+import cosim
 from cosim.core.signals import Channel, Interface, Layout, Signal
-from cosim.errors import GraphError, Interrupted, LogError, LogWriteError, NonFiniteError
+from cosim.errors import (
+    CosimError,
+    GraphError,
+    Interrupted,
+    LogError,
+    LogWriteError,
+    NonFiniteError,
+)
 from cosim.log import McapRecorder, container, files, open_log, recorder
 from tests.log.disks import FullDisk
 from tests.log.recordings import (
@@ -379,3 +387,21 @@ def wait_for_step(path, step):
         assert time.monotonic() < deadline
         with suppress(LogError):  # its rows have moved since it was opened
             last_step = open_log(path).steps
+
+
+def test_wrong_paths_are_refused_by_all_that_takes_one(short_log, subtests):
+    """A name too long, one with a NUL, no text, and half a character: before anything is done."""
+    for bad in ["x" * 260 + ".mcap", "a\0b.mcap", 3, None, b"\xff.mcap", "\udcff\ud800.mcap"]:
+        calls = {
+            "open_log": lambda bad=bad: open_log(bad),
+            "McapRecorder": lambda bad=bad: McapRecorder(bad),
+            "replay": lambda bad=bad: cosim.replay(bad),
+            "diff": lambda bad=bad: cosim.diff(open_log(short_log), bad),
+        }
+        if bad is not None:
+            calls["run"] = lambda bad=bad: cosim.run("academic", out=bad)
+        if isinstance(bad, str):
+            calls["load"] = lambda bad=bad: cosim.load(bad)
+        for name, call in calls.items():
+            with subtests.test(case=(name, bad)), pytest.raises(CosimError):
+                call()

@@ -5,9 +5,12 @@ from __future__ import annotations
 import io
 import json
 import re
+import shutil
+import threading
 from collections import Counter
 from dataclasses import replace
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,9 +18,11 @@ from google.protobuf import json_format
 from mcap.reader import NonSeekingReader, make_reader
 
 import cosim
+from cosim.core.clock import Clock
 from cosim.core.contracts import Stopped
 from cosim.errors import Interrupted, LogError, LogWriteError
 from cosim.log import Attachment, McapRecorder, files, open_log
+from cosim.log.background import BackgroundWriter
 from tests.log.decoding import message_class
 from tests.log.disks import FullDisk
 from tests.log.recordings import (
@@ -25,6 +30,7 @@ from tests.log.recordings import (
     blocks,
     layout,
     make_chunks_small,
+    many,
     plan,
     record,
     same_bits,
@@ -313,3 +319,142 @@ def test_messages_before_the_file_are_in_it(tmp_path):
     with recorder:
         recorder.message(0, "warning", "plant", "early")
     assert not (tmp_path / "b.mcap").exists()
+
+
+SHAPES = [(0, 0), (0, 1000), (40, 500), (9000, 10)]  # further elements, steps
+
+
+@pytest.mark.fast("True")
+@pytest.mark.parametrize("flushed", [False, True])
+def test_no_log_is_larger_than_its_bound(tmp_path, monkeypatch, flushed, subtests):
+    """Also with a flush after every step, as of a run with a second of work a step."""
+    if flushed:
+        make_chunks_small(monkeypatch, 2000)
+    for compression, (wide, count) in product(("none", "zstd", "lz4"), SHAPES):
+        steps = min(count, 100) if flushed else count
+        path = tmp_path / f"{compression} {wide} {steps}.mcap"
+        lay = layout(wide=wide)
+        flush = 0.0 if flushed else 1.0
+        with McapRecorder(path, compression=compression, flush=flush) as recorder:
+            recorder.begin(plan(lay))
+            bound = recorder.size_bound(steps)
+            if steps:
+                for block, signals in blocks(table(lay, steps), 1 if flushed else 10):
+                    recorder.write(block, signals)
+        with subtests.test(case=(compression, wide, steps)):
+            assert path.stat().st_size <= bound
+
+
+@pytest.mark.fast("0-2000")
+@pytest.mark.parametrize(("wide", "steps"), [(0, 2000), (9000, 10)])
+def test_the_bound_of_a_large_log_is_less_than_twice_its_size(tmp_path, wide, steps):
+    """Of an uncompressed one over 1 GB; its size grows as between two short ones."""
+    lay = layout(wide=wide)
+    sizes = []
+    for count in (steps, 2 * steps):
+        path = tmp_path / f"{count}.mcap"
+        with McapRecorder(path, compression="none") as recorder:
+            recorder.begin(plan(lay))
+            for block, signals in blocks(table(lay, count), 10):
+                recorder.write(block, signals)
+        sizes.append(path.stat().st_size)
+    step_bytes = (sizes[1] - sizes[0]) / steps
+    large = int(1e9 / step_bytes)
+    with McapRecorder(tmp_path / "large.mcap", compression="none") as recorder:
+        recorder.begin(plan(lay))
+        assert large * step_bytes < recorder.size_bound(large) < 2.0 * large * step_bytes
+
+
+def test_a_large_log_is_announced_before_the_first_step(tmp_path, monkeypatch):
+    """Over 1 GB, and where the disk has less; otherwise nothing is said."""
+
+    class Begun(Exception):
+        pass
+
+    def stop(time, end):
+        raise Begun
+
+    def notices(stop_time, free):
+        monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=free))
+        said = []
+        with pytest.raises(Begun):
+            cosim.run(
+                "academic",
+                out=tmp_path / "a.mcap",
+                force=True,
+                set={"scenario.stop": stop_time},
+                notice=said.append,
+                progress=stop,
+            )
+        return said
+
+    assert notices(1.0, 10**12) == []
+    (text,) = notices(10_000.0, 10**12)
+    assert text.startswith(f"{tmp_path}/a.mcap ")
+    assert " GB" in text
+    (text,) = notices(1.0, 10_000)
+    assert text.startswith("warning: ")
+    assert "1e-05 GB" in text
+
+
+CLOCK = Clock(stop=100.0, step=1.0)
+
+
+def test_rows_of_a_block_under_way_are_written_once():
+    """After the flush interval those that are completed; when the block is written, the others."""
+    written = []
+    grown = threading.Event()
+
+    def add(content):
+        written.extend(zip(content.steps.tolist(), content.values[:, 0].tolist(), strict=True))
+        if len(written) == 31:
+            grown.set()
+
+    writer = BackgroundWriter(add, capacity=25, width=1, interval=0.01)
+    first = CLOCK.block_at(0, 10)
+    second = CLOCK.block_at(10, 40)
+    values = np.arange(51.0).reshape(-1, 1)
+    writer.follow(lambda: (second.part(0, 20), values[10:31]))
+    writer.write(first, values[:11], 0)
+    try:
+        assert grown.wait(10.0)  # more than a buffer holds
+        writer.write(second, values[10:], 1)
+    finally:
+        rest = writer.close()
+    add(rest)
+    assert written == [(k, float(k)) for k in range(51)]
+
+
+def test_rows_are_in_order_however_a_buffer_is_handed_over():
+    """The run fills the next buffer while the thread looks at what is under way."""
+    written = []
+    count = 3000
+    values = np.arange(10.0 * count + 1).reshape(-1, 1)
+    under_way = [CLOCK.block_at(0, 0), values[:1]]
+    writer = BackgroundWriter(
+        lambda content: written.extend(content.steps.tolist()),
+        capacity=7,
+        width=1,
+        interval=0.0,
+    )
+    writer.follow(lambda: tuple(under_way))
+    writer.write(*under_way, 0)
+    for number in range(count):
+        block = CLOCK.block_at(10 * number, 10)
+        under_way[:] = block, values[10 * number : 10 * number + 11]
+        writer.write(block, values[10 * number : 10 * number + 11], 1)
+    rest = writer.close()
+    if rest is not None:
+        written += rest.steps.tolist()
+    assert written == list(range(10 * count + 1))
+
+
+@pytest.mark.slow
+def test_many_components_have_no_more_pieces_than_few(tmp_path):
+    """A piece is what a chunk has of a component: it costs the same, however few rows it has.
+
+    Of 1000 components a step takes 49 kB: chunks of 1 MiB would have 21 rows of each, in 3 pieces.
+    """
+    record(tmp_path / "a.mcap", steps=60, size=60, lay=many(1000))
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        assert make_reader(stream).get_summary().statistics.chunk_count <= 1

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from cosim.log import open_log
-from tests.log.mcap_file.killed import Job, check, killed_run, processes, reports, whole_run
+from tests.log.killed import Job, check, killed_run, processes, reports, whole_run
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no signals that kill")
 
