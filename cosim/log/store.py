@@ -356,11 +356,8 @@ class LogStore:
     def finish(self, last: RunContent | None, end: EndOfRun, values: Mapping[str, Any]) -> None:
         """Write the last flush, the result and the end of the file."""
         if last is not None and not last.is_empty:
-            if self._options.rotation is not None:
-                self.add(last)
-            else:
-                size = self._tail_bytes + self._size(last)
-                self._write(last, is_separate=size >= CHUNK_BYTES / 2)
+            for part in self._by_file(last):  # also where the file is no longer at its path
+                self._add(part)
         self.close(end, values)
 
     def close(self, end: EndOfRun, values: Mapping[str, Any]) -> None:
@@ -468,19 +465,10 @@ class LogStore:
         else:
             content = joined([content])  # a copy, to be kept
         is_full = is_large or self._tail_bytes + size >= CHUNK_BYTES
-        self._write(content, is_separate=is_full)
-        if is_full:
-            self._keep_tail()
-        else:
-            self._tail.append(content)
-            self._tail_bytes += size
-
-    def _write(self, content: RunContent, *, is_separate: bool) -> None:
-        """Write the tail again, with a content behind it."""
         whole = joined([*self._tail, content]) if self._tail else content
-        hashing = self._workers.start(partial(self._hashed, content)) if is_separate else None
+        hashing = self._workers.start(partial(self._hashed, content)) if is_full else None
         try:
-            group = self._group(whole, is_separate=is_separate)
+            group = self._group(whole, is_separate=is_full)
             if group.entries:  # no component may have a row in the steps of a flush
                 self._file.replace_tail(group)
         finally:
@@ -492,6 +480,11 @@ class LogStore:
                 self._first_ns = int(content.time_ns[0])
             self.steps = int(content.steps[-1])
             self.end_ns = int(content.time_ns[-1])
+        if is_full:
+            self._keep_tail()
+        else:
+            self._tail.append(content)
+            self._tail_bytes += size
 
     def _keep_tail(self) -> None:
         self._file.keep_tail()

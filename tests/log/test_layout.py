@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from google.protobuf import descriptor_pb2, descriptor_pool, json_format, message_factory
+from google.protobuf import descriptor_pb2, json_format
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -17,7 +17,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import GraphError
-from cosim.log import Log, McapRecorder
+from cosim.log import Log
 from cosim.log.layout import (
     blank_records,
     copy_columns,
@@ -33,7 +33,7 @@ from cosim.log.preamble import part_schemas
 from cosim.units import BASE, BaseUnit
 from tests.log.crafting import without_checksum
 from tests.log.decoding import message_class
-from tests.log.recordings import blocks, layout, plan, record, same_bits, table
+from tests.log.recordings import layout, record, same_bits
 from tests.log.viewing import decoded, parsed
 
 MESSAGE_HEADER = 31  # bytes before the protobuf message
@@ -138,7 +138,8 @@ def test_a_declaration_has_defaults_only_of_the_first_fields():
     """The text that the hash covers stays what the first logs have, until a new field is used."""
     plain = '"name":"u","size":1,"unit":null,"variability":"continuous","optional":false,'
     plain += '"type":"real","role":"output"'
-    assert signals_json(Interface((Signal("u"),))) == f'[{{"causality":"input",{plain}}}]'
+    for signal in (Signal("u"), Signal("u", description="force")):
+        assert signals_json(Interface((signal,))) == f'[{{"causality":"input",{plain}}}]'
     driven = Signal("u", start=(1.0,), connection="optional", first=1)
     added = '"start":[1.0],"connection":"optional","first":1'
     assert signals_json(Interface((driven,))) == f'[{{"causality":"input",{plain},{added}}}]'
@@ -197,39 +198,10 @@ def test_a_changed_channel_is_noticed():
         read_part({**part.metadata, "cosim.start": "1"})
 
 
-MESSAGE_HEADER = 31  # bytes before the protobuf message
-NASTY = [
-    "der(x)",
-    "der_x",
-    "x[1]",
-    "x_1",
-    "x1",
-    "a_b",
-    "aB",
-    "AB",
-    "1x",
-    "",
-    "_",
-    "π",
-    "θ̂",
-    "class",
-    "None",
-    "message",
-    "x.y",
-    "x y",
-]
+NASTY = [*"der(x) der_x x[1] x_1 x1 a_b aB AB 1x _ π θ̂ class None message x.y".split(), "", "x y"]  # noqa: SIM905
 
 
 names = st.lists(st.one_of(st.sampled_from(NASTY), st.text(max_size=6)), unique=True, max_size=12)
-
-
-@given(names)
-def test_identifiers_differ_even_without_underscores_and_case(signal_names):
-    """Every name has a legal identifier of its own, also in protobuf's JSON."""
-    made = identifiers(signal_names)
-    assert all(re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) for name in made)
-    folded = {name.replace("_", "").lower() for name in made}
-    assert len(folded) == len(signal_names)
 
 
 def test_legal_names_are_kept_and_the_others_stay_readable():
@@ -245,7 +217,10 @@ def test_legal_names_are_kept_and_the_others_stay_readable():
 
 @given(names)
 def test_any_names_make_a_schema_that_protobuf_takes(signal_names):
-    """Stock protobuf decodes the records of a channel with any names, and writes them as JSON."""
+    """Each has an identifier of its own, also in JSON; stock protobuf decodes the records."""
+    made = identifiers(signal_names)
+    assert all(re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) for name in made)
+    assert len({name.replace("_", "").lower() for name in made}) == len(signal_names)
     size = len(signal_names)
     values = np.arange(1.0, size + 1)
     kind = message_class("cosim.m", component_schema("m", signal_names))
@@ -279,6 +254,7 @@ def comments(data):
     (file,) = descriptor_pb2.FileDescriptorSet.FromString(data).file
     found = {}
     for location in file.source_code_info.location:
+        assert len(location.span) in (3, 4)  # as descriptor.proto demands
         found[tuple(location.path)] = location.leading_comments
     return found, file.message_type[0]
 
@@ -299,44 +275,22 @@ def test_every_field_has_a_comment_with_name_unit_role_and_description():
     assert [field.name for field in message.field] == ["u", "x_0", "x_1", "x_2", "der_x", "on"]
 
 
-def test_protobuf_takes_a_schema_with_comments():
-    """Every location has a span of three or four numbers, as descriptor.proto demands."""
-    (part,) = split_channel(Channel("plant", INTERFACE, 0), kind="", step_ns=1)
-    (file,) = descriptor_pb2.FileDescriptorSet.FromString(schema_of(part)).file
-    assert all(len(location.span) in (3, 4) for location in file.source_code_info.location)
-    pool = descriptor_pool.DescriptorPool()
-    pool.Add(file)
-    kind = message_factory.GetMessageClass(pool.FindMessageTypeByName("cosim.plant"))
-    assert kind(x_1=2.0).x_1 == 2.0
-
-
 def test_parts_of_a_wide_component_have_the_comments_of_their_own_elements():
     """The second part begins inside a signal."""
-    wide = Interface((Signal("u"),), (Signal("y", 5000, unit="K", description="temperatures"),))
+    odd = Signal("u", description="a\ud800b")  # a text of protobuf cannot have it
+    wide = Interface((odd,), (Signal("y", 5000, unit="K", description="temperatures"),))
     parts = split_channel(Channel("wide", wide, 0), kind="", step_ns=1)
     first, _ = comments(schema_of(parts[0]))
     second, _ = comments(schema_of(parts[1]))
+    assert first[4, 0, 2, 0] == " u, input: a?b\n"
     assert first[4, 0, 2, 1] == " y[0] [K], output: temperatures\n"
     assert second[4, 0, 2, 0] == " y[4095] [K], output\n"
     assert len(first) + len(second) == 2 + 5001
 
 
-def test_a_description_with_half_a_character_can_be_written():
-    """JSON of the metadata keeps it, a text of protobuf cannot."""
-    odd = Interface((), (Signal("y", description="a\ud800b"),))
-    (part,) = split_channel(Channel("odd", odd, 0), kind="", step_ns=1)
-    found, _ = comments(schema_of(part))
-    assert found[4, 0, 2, 0] == " y, output: a?b\n"
-
-
 def test_the_stock_decoder_reads_a_log_with_comments(tmp_path):
-    """The decoder of mcap-protobuf-support gives every value, bit for bit."""
-    layout = Layout((Channel("plant", INTERFACE, 0),))
-    rows = table(layout, 20)
-    with McapRecorder(tmp_path / "a.mcap") as recorder:
-        recorder.begin(plan(layout))
-        for block, signals in blocks(rows, 7):
-            recorder.write(block, signals)
+    """That of mcap-protobuf-support, bit for bit; the log gives the descriptions back."""
+    rows = record(tmp_path / "a.mcap", steps=20, lay=Layout((Channel("plant", INTERFACE, 0),)))
     decoded = []
     with (tmp_path / "a.mcap").open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
@@ -345,26 +299,9 @@ def test_the_stock_decoder_reads_a_log_with_comments(tmp_path):
             names = [field.name for field in message.DESCRIPTOR.fields]
             decoded.append([getattr(message, name) for name in names])
     assert same_bits(np.array(decoded), rows)
-
-
-def test_a_log_gives_the_descriptions_back(tmp_path):
-    """They stand in the metadata of the channel, under its checksum."""
-    layout = Layout((Channel("plant", INTERFACE, 0),))
-    with McapRecorder(tmp_path / "a.mcap") as recorder:
-        recorder.begin(plan(layout))
-        for block, signals in blocks(table(layout, 20), 7):
-            recorder.write(block, signals)
     signals = Log(tmp_path / "a.mcap").channels["plant"].signals
     texts = [signal.description for signal in signals]
     assert texts == ["force on the mass", "positions", "", ""]
-
-
-def test_descriptions_change_no_hash():
-    """The text that the content hash covers is the same without them."""
-    plain = Interface((Signal("u", unit="N", role="input"),))
-    described = Interface((Signal("u", unit="N", role="input", description="force"),))
-    assert signals_json(plain) == signals_json(described)
-    assert plain == described
 
 
 def test_descriptions_that_are_no_texts_are_refused(subtests):
