@@ -429,6 +429,12 @@ def group_columns(size: int) -> Mapping[str, slice]:
     return MappingProxyType({name: own for name, own in found.items() if own.start < own.stop})
 
 
+def fill_values(records: Records, values: Matrix) -> None:
+    """Fill the doubles of message records with ``values``, shape (n, size)."""
+    for name, columns in group_columns(values.shape[1]).items():
+        records[name]["value"] = values[:, columns]
+
+
 def copy_columns(records: Records, target: Matrix, *, size: int, columns: slice) -> None:
     """Copy some doubles of message records of ``size`` doubles to ``target``, shape (n, columns).
 

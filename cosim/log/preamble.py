@@ -16,7 +16,14 @@ import numpy as np
 
 from cosim.core.recording import Plan
 from cosim.instants import NANOSECONDS
-from cosim.log.layout import DECLARED, RECORD, Part, declaration_json, partial_metadata
+from cosim.log.layout import (
+    DECLARED,
+    RECORD,
+    Part,
+    declaration_json,
+    partial_metadata,
+    split_channel,
+)
 from cosim.log.mcap_records import (
     FileHead,
     RecordGroup,
@@ -114,20 +121,19 @@ def part_schemas(parts: Sequence[Part]) -> list[tuple[str, bytes]]:
 
 def begin_file(
     plan: Plan,
-    parts: Sequence[Part],
     *,
     metadata: Mapping[str, Mapping[str, str]],
     attachments: Sequence[Attachment],
     kinds: Mapping[str, str],
     topics: Sequence[str] = (),
-) -> tuple[FileHead, dict[str, int]]:
-    """Return what a file begins with, and the ids of its channels by topic.
+) -> tuple[FileHead, dict[int, Part], dict[str, int]]:
+    """Return what a file begins with, the parts of its components and the topics beside them.
+
+    Both with the ids of their channels.
 
     Parameters
     ----------
     plan : Plan
-    parts : sequence of Part
-        Whose channels come first.
     metadata : mapping of record name to its items
     attachments : sequence of Attachment
     kinds : mapping of component name to str
@@ -135,15 +141,20 @@ def begin_file(
         ``EVENT_TOPIC``, ``STEP_TOPIC``, where there are such messages.
     """
     head = FileHead(library=library_name())
-    channel_ids = {}
+    parts: list[Part] = []
+    for channel in plan.layout.channels:
+        kind = kinds.get(channel.name, "")
+        parts += split_channel(channel, kind=kind, step_ns=plan.step_ns)
+    numbered = {}
     for part, schema in zip(parts, part_schemas(parts), strict=True):
-        topic = f"/{part.title}"
-        channel_ids[topic] = head.channel(topic, schema=schema, metadata=part.metadata)
+        number = head.channel(f"/{part.title}", schema=schema, metadata=part.metadata)
+        numbered[number] = part
+    topic_ids = {}
 
     def add(topic: str) -> None:
         schema = SCHEMAS[topic]
         own = head.channel(topic, schema=(schema.name, schema.serialized), metadata={})
-        channel_ids[topic] = own
+        topic_ids[topic] = own
 
     add(LOG_TOPIC)
     for name, items in _complete_metadata(plan, metadata, kinds).items():
@@ -152,7 +163,7 @@ def begin_file(
         head.attachment(attachment.name, attachment.media_type, attachment.data)
     for topic in topics:
         add(topic)
-    return head, channel_ids
+    return head, numbered, topic_ids
 
 
 def _with_layout(plan: Plan, attachments: Sequence[Attachment]) -> list[Attachment]:

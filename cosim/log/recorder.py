@@ -18,7 +18,6 @@ from cosim.interrupts import uninterrupted
 from cosim.log.background import FLUSH_INTERVAL, BackgroundWriter, WaitingMessage
 from cosim.log.chunks import Compression
 from cosim.log.files import Rotation, UnfinishedLog
-from cosim.log.layout import Part, split_channel
 from cosim.log.messages import encode_event, encode_log, encode_substep
 from cosim.log.preamble import EVENT_TOPIC, LOG_TOPIC, STEP_TOPIC, Attachment, begin_file
 from cosim.log.reader import Log
@@ -87,7 +86,7 @@ class McapRecorder:
         self._attachments = attachments
         self._result: dict[str, Any] = {}
         self._topics = [EVENT_TOPIC] * events + [STEP_TOPIC] * substeps
-        self._channel_ids: dict[str, int] = {}  # by topic
+        self._channel_ids: dict[str, int] = {}  # of what is no signal, by topic
         self._flush = flush
         self._file = UnfinishedLog(path, force=force, numbered=numbered)
         self._writer: BackgroundWriter | None = None
@@ -171,13 +170,8 @@ class McapRecorder:
             self._begin(plan)
 
     def _begin(self, plan: Plan) -> None:
-        parts: list[Part] = []
-        for channel in plan.layout.channels:
-            kind = self._kinds.get(channel.name, "")
-            parts += split_channel(channel, kind=kind, step_ns=plan.step_ns)
-        head, self._channel_ids = begin_file(
+        head, parts, self._channel_ids = begin_file(
             plan,
-            parts,
             metadata=self._metadata,
             attachments=self._attachments,
             kinds=self._kinds,
@@ -186,8 +180,7 @@ class McapRecorder:
         rotation = self._options.rotation
         if rotation is not None:
             rotation.check(plan.layout.channels, plan.step_ns, len(head.data))
-        numbered_parts = list(zip(self._channel_ids.values(), parts, strict=False))  # come first
-        self._store = LogStore(self._file, plan, head, numbered_parts, self._options)
+        self._store = LogStore(self._file, plan, head, parts, self._options)
         self._step_ns = plan.step_ns
         # Last: with a writer the file is completed, and that needs everything above.
         self._writer = BackgroundWriter(

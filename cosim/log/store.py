@@ -48,7 +48,7 @@ from cosim.log.files import (
     part_path,
     refused,
 )
-from cosim.log.layout import Part, Records, blank_records, group_columns, record_dtype, signals_json
+from cosim.log.layout import Part, Records, blank_records, fill_values, record_dtype, signals_json
 from cosim.log.live_file import LiveFile
 from cosim.log.mcap_records import HEADER, FileHead, RecordGroup, joined_groups
 from cosim.log.metadata import combine_hashes, hash_input
@@ -90,8 +90,7 @@ class MessageEncoder:
     Parameters
     ----------
     layout : Layout
-    parts : sequence of (int, Part)
-        MCAP channel ids with what they hold.
+    parts : mapping of channel id to Part
 
     Attributes
     ----------
@@ -101,12 +100,11 @@ class MessageEncoder:
         Rows of a flush.
     """
 
-    def __init__(self, layout: Layout, parts: Sequence[tuple[int, Part]]) -> None:
+    def __init__(self, layout: Layout, parts: Mapping[int, Part]) -> None:
         self._layout = layout
-        self._numbered = parts
-        self.parts = [part for _, part in parts]
+        self.parts = parts
         self._blank: dict[int, Records] = {}  # by channel id, filled again every time
-        sizes = [record_dtype(own.size).itemsize / own.channel.period for own in self.parts]
+        sizes = [record_dtype(own.size).itemsize / own.channel.period for own in parts.values()]
         self.row_bytes = sum(sizes)
         self.capacity = _capacity(layout, len(parts), self.row_bytes)
 
@@ -123,7 +121,7 @@ class MessageEncoder:
         """
         selected = self._selected(content)
         batches = []
-        for channel_id, part in self._numbered:
+        for channel_id, part in self.parts.items():
             rows = selected[part.channel.period]
             batch = self._batch(channel_id, part, content, rows)
             if len(batch.time_ns):
@@ -144,11 +142,8 @@ class MessageEncoder:
         unsigned_ns = time_ns.view(np.uint64)  # else numpy would convert each
         records["log_time"] = unsigned_ns
         records["publish_time"] = unsigned_ns
-        part_start = part.channel.start + part.columns.start
-        for group, columns in group_columns(part.size).items():
-            start = part_start + columns.start
-            stop = part_start + columns.stop
-            records[group]["value"] = rows.values[selected, start:stop]
+        start = part.channel.start + part.columns.start
+        fill_values(records, rows.values[selected, start : start + part.size])
         offsets = np.arange(0, records.nbytes, records.itemsize)
         return MessageBatch(channel_id, records.view(np.uint8).data, time_ns, offsets)
 
@@ -234,8 +229,7 @@ class LogStore:
     plan : Plan
     head : FileHead
         What every file begins with.
-    parts : sequence of (int, Part)
-        MCAP channel ids with what they hold.
+    parts : mapping of channel id to Part
     options : LogOptions
 
     Attributes
@@ -258,7 +252,7 @@ class LogStore:
         place: UnfinishedLog,
         plan: Plan,
         head: FileHead,
-        parts: Sequence[tuple[int, Part]],
+        parts: Mapping[int, Part],
         options: LogOptions,
     ) -> None:
         self._first_place = place
@@ -302,7 +296,7 @@ class LogStore:
 
         It is an upper bound for every compression, however often the file is flushed.
         """
-        parts = self._encoder.parts
+        parts = self._encoder.parts.values()
         rows = steps + 1
         records = 0
         for part in parts:

@@ -6,7 +6,6 @@ import numpy as np
 
 from cosim.log.background import RunContent
 from cosim.log.files import UnfinishedLog
-from cosim.log.layout import split_channel
 from cosim.log.preamble import begin_file
 from cosim.log.store import LogOptions, LogStore
 from tests.log.recordings import STEP_NS
@@ -28,13 +27,9 @@ class Unplaced(UnfinishedLog):
 
 def open_store(stream, plan, *, compression="none", metadata=None, attachments=()):
     """Return the store of a new log, written to a stream."""
-    parts = []
-    for channel in plan.layout.channels:
-        parts += split_channel(channel, kind="", step_ns=plan.step_ns)
     options = {"metadata": metadata or {}, "attachments": attachments, "kinds": {}}
-    head, ids = begin_file(plan, parts, **options)
-    numbered = list(zip(ids.values(), parts, strict=False))
-    store = LogStore(Unplaced(stream), plan, head, numbered, LogOptions(compression))
+    head, parts, _ = begin_file(plan, **options)
+    store = LogStore(Unplaced(stream), plan, head, parts, LogOptions(compression))
     store.begin(0)
     return store
 

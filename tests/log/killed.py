@@ -153,6 +153,17 @@ def reports(pipe):
             return
 
 
+def answer_of(function, *arguments):
+    """Return what a function sends that is called in a process of its own, with a pipe."""
+    receiver, sender = processes.Pipe(duplex=False)
+    process = processes.Process(target=function, args=(sender, *arguments))
+    process.start()
+    sender.close()
+    (answer,) = reports(receiver)
+    process.join()
+    return answer
+
+
 def _run(job, pipe):
     """Write all; last report the number of writes, as text."""
     pipe.send(str((_with_recorder if job.kind == "recorder" else _with_store)(job, pipe)))

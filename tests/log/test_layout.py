@@ -21,7 +21,7 @@ from cosim.log import Log
 from cosim.log.layout import (
     blank_records,
     copy_columns,
-    group_columns,
+    fill_values,
     read_part,
     record_dtype,
     signals_json,
@@ -44,8 +44,7 @@ def test_records_are_protobuf_at_every_width_of_tags(subtests):
     for size in (0, 1, 15, 16, 2047, 2048, 4096):
         values = np.random.default_rng(1).normal(size=(3, size))
         records = blank_records(7, size, 3)
-        for group, columns in group_columns(size).items():
-            records[group]["value"] = values[:, columns]
+        fill_values(records, values)
         fields = [f"v{i}" for i in range(size)]
         kind = message_class("cosim.m", component_schema("m", fields))
         data = records[1].tobytes()
@@ -225,8 +224,7 @@ def test_any_names_make_a_schema_that_protobuf_takes(signal_names):
     values = np.arange(1.0, size + 1)
     kind = message_class("cosim.m", component_schema("m", signal_names))
     records = blank_records(1, size, 1)
-    for group, columns in group_columns(size).items():
-        records[group]["value"] = values[columns]
+    fill_values(records, values[np.newaxis])
     message = kind.FromString(records.tobytes()[MESSAGE_HEADER:])
     decoded = [getattr(message, field.name) for field in kind.DESCRIPTOR.fields]
     assert decoded == list(values)

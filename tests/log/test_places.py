@@ -218,9 +218,7 @@ def test_the_next_run_removes_what_a_killed_one_left(tmp_path):
         with suppress(KeyboardInterrupt), McapRecorder(folder / name) as recorder:
             recorder.begin(plan())
             (hidden,) = folder.glob(f".{name}.*.part")
-            left.append(
-                hidden.rename(tmp_path / hidden.name)
-            )  # out of its reach
+            left.append(hidden.rename(tmp_path / hidden.name))  # out of its reach
             raise KeyboardInterrupt
     folder.rmdir()
     with McapRecorder(tmp_path / "a.mcap", numbered=True) as recorder:
