@@ -139,15 +139,11 @@ class RowBuffer:
         self._taken_messages += len(messages)
         return RunContent(self._steps[taken], self._time_ns[taken], self._values[taken], messages)
 
-    def clear_rows(self) -> None:
-        """Forget the rows: there is room again."""
+    def clear(self) -> None:
+        """Forget what was taken: there is room again."""
         self._count = 0
         self._taken_rows = 0
-
-    def clear(self) -> None:
-        """Forget everything."""
-        self.clear_rows()
-        self.messages = []
+        del self.messages[: self._taken_messages]
         self._taken_messages = 0
 
 
@@ -341,7 +337,7 @@ class BackgroundWriter:
                 break
             self._write(buffer)  # the run is not there to hand it over
             with self._copying:
-                buffer.clear_rows()
+                buffer.clear()
         self._write(buffer)
 
     def _write(self, buffer: RowBuffer) -> None:

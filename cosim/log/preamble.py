@@ -153,36 +153,23 @@ def begin_file(
 
     def add(topic: str) -> None:
         schema = SCHEMAS[topic]
-        own = head.channel(topic, schema=(schema.name, schema.serialized), metadata={})
-        topic_ids[topic] = own
+        serialized = (schema.name, schema.serialized)
+        topic_ids[topic] = head.channel(topic, schema=serialized, metadata={})
 
     add(LOG_TOPIC)
-    for name, items in _complete_metadata(plan, metadata, kinds).items():
+    own = _own_metadata(plan, kinds)
+    for name in {**metadata, **own}:
+        # Ours after the caller's: no caller may overwrite what a replay rests on.
+        items = {**metadata.get(name, {}), **own.get(name, {})}
         head.metadata(name, add_checksum(name, items))
-    for attachment in _with_layout(plan, attachments):
+    for attachment in attachments:
         head.attachment(attachment.name, attachment.media_type, attachment.data)
+    if all(attachment.name != LAYOUT_FILE for attachment in attachments):
+        layout = layout_json(output_panels(plan.channels))
+        head.attachment(LAYOUT_FILE, "application/json", layout)
     for topic in topics:
         add(topic)
     return head, numbered, topic_ids
-
-
-def _with_layout(plan: Plan, attachments: Sequence[Attachment]) -> list[Attachment]:
-    """Return attachments with a layout for viewers; the caller's, where there is one."""
-    if any(attachment.name == LAYOUT_FILE for attachment in attachments):
-        return list(attachments)
-    layout = layout_json(output_panels(plan.channels))
-    return [*attachments, Attachment(LAYOUT_FILE, "application/json", layout)]
-
-
-def _complete_metadata(
-    plan: Plan, metadata: Mapping[str, Mapping[str, str]], kinds: Mapping[str, str]
-) -> dict[str, dict[str, str]]:
-    """Return all metadata records: the caller's, completed by the recorder's own."""
-    completed = {name: dict(items) for name, items in metadata.items()}
-    for name, items in _own_metadata(plan, kinds).items():
-        # Ours after the caller's: no caller may overwrite what a replay rests on.
-        completed[name] = {**completed.get(name, {}), **items}
-    return completed
 
 
 def _own_metadata(plan: Plan, kinds: Mapping[str, str]) -> dict[str, dict[str, str]]:
