@@ -11,19 +11,13 @@ from cosim.core.signals import Channel
 from cosim.instants import StepNs
 from cosim.live.connection import LiveTopic, ViewerConnection
 from cosim.live.selection import selected
-from cosim.log.layout import Part, blank_records, group_columns, split_channel
-from cosim.log.messages import EVENT_SCHEMA, LOG_SCHEMA, STEP_SCHEMA, MessageSchema
-from cosim.log.preamble import EVENT_TOPIC, LOG_TOPIC, STEP_TOPIC, part_schemas
+from cosim.log.layout import Part, blank_records, fill_values, split_channel
+from cosim.log.preamble import SCHEMAS, part_schemas
 
 # Instants that viewers are told of at once: they are never dropped, so that a slow viewer of more
 # would be disconnected. A message has its own time anyhow.
 MOST_TIMES: Final = 10
 _MESSAGE_HEADER: Final = 31  # bytes of a record before its message
-_SCHEMAS: Final[Mapping[str, MessageSchema]] = {
-    LOG_TOPIC: LOG_SCHEMA,
-    EVENT_TOPIC: EVENT_SCHEMA,
-    STEP_TOPIC: STEP_SCHEMA,
-}
 
 
 @final
@@ -102,7 +96,7 @@ class Publisher:
 
     def advertise(self, topic: str) -> None:
         """Add a topic beside the rows, for viewers to subscribe to."""
-        schema = _SCHEMAS[topic]
+        schema = SCHEMAS[topic]
         self._topics[topic] = self._connection.topic(
             topic, schema_name=schema.name, schema=schema.serialized, metadata={}
         )
@@ -124,8 +118,7 @@ def _encoded(rows: Matrix) -> list[bytes]:
     """Return the protobuf messages of rows, shape (n, size)."""
     count, size = rows.shape
     records = blank_records(0, size, count)
-    for group, columns in group_columns(size).items():
-        records[group]["value"] = rows[:, columns]
+    fill_values(records, rows)
     length = records.itemsize
     data = records.tobytes()
     starts = range(_MESSAGE_HEADER, _MESSAGE_HEADER + count * length, length)

@@ -9,8 +9,6 @@ to the buffer that it fills, and the thread reads what has been appended. But fo
 there the thread appends too, and interrupts wait for the copy. Full buffers go to the
 thread through one queue, and come back through another.
 
-Rows and messages of a run that wait to be written.
-
 A block costs one copy here, however short it is; the message records are made once per flush.
 """
 
@@ -40,64 +38,46 @@ class WaitingMessage(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class RunRows:
-    """Consecutive rows of a run."""
+class RunContent:
+    """Consecutive rows of a run, and messages beside them."""
 
     steps: Nanoseconds  # (n,), numbers of the communication steps
     time_ns: Nanoseconds  # (n,)
     values: Matrix  # (n, width)
-
-    def part(self, rows: slice) -> RunRows:
-        """Return some of the rows."""
-        return RunRows(self.steps[rows], self.time_ns[rows], self.values[rows])
-
-
-@dataclass(frozen=True, slots=True)
-class RunContent:
-    """Rows, and messages beside them."""
-
-    rows: RunRows
     messages: Sequence[WaitingMessage] = ()
 
     @property
     def is_empty(self) -> bool:
         """Whether there is nothing to write."""
-        return not len(self.rows.steps) and not self.messages
-
-    def reaches(self, time_ns: int) -> bool:
-        """Return whether there is a row at a time [ns] or behind."""
-        return len(self.rows.steps) > 0 and int(self.rows.time_ns[-1]) >= time_ns
+        return not len(self.steps) and not self.messages
 
     def pieces(self, rows: int) -> Iterator[RunContent]:
         """Yield it in pieces of so many rows."""
         content = self
-        while len(content.rows.steps) > rows:
-            piece, content = content.split(int(content.rows.time_ns[rows]))
+        while len(content.steps) > rows:
+            piece, content = content.split(int(content.time_ns[rows]))
             yield piece
         yield content
 
     def split(self, time_ns: int) -> tuple[RunContent, RunContent]:
         """Return what is before a time [ns], and what is at it or behind."""
-        row = int(np.searchsorted(self.rows.time_ns, time_ns))
-        early: list[WaitingMessage] = []
-        late: list[WaitingMessage] = []
-        for message in self.messages:
-            (early if message.time_ns < time_ns else late).append(message)
+        row = int(np.searchsorted(self.time_ns, time_ns))
+        early = [message for message in self.messages if message.time_ns < time_ns]
+        late = [message for message in self.messages if message.time_ns >= time_ns]
         return (
-            RunContent(self.rows.part(slice(row)), early),
-            RunContent(self.rows.part(slice(row, None)), late),
+            RunContent(self.steps[:row], self.time_ns[:row], self.values[:row], early),
+            RunContent(self.steps[row:], self.time_ns[row:], self.values[row:], late),
         )
 
 
 def joined(contents: Sequence[RunContent]) -> RunContent:
-    """Return contents one behind the other."""
-    steps = np.concatenate([content.rows.steps for content in contents])
-    time_ns = np.concatenate([content.rows.time_ns for content in contents])
-    values = np.concatenate([content.rows.values for content in contents])
-    messages: list[WaitingMessage] = []
-    for content in contents:
-        messages += content.messages
-    return RunContent(RunRows(steps, time_ns, values), messages)
+    """Return contents one behind the other, in memory of their own."""
+    return RunContent(
+        np.concatenate([content.steps for content in contents]),
+        np.concatenate([content.time_ns for content in contents]),
+        np.concatenate([content.values for content in contents]),
+        [message for content in contents for message in content.messages],
+    )
 
 
 @final
@@ -154,21 +134,16 @@ class RowBuffer:
         """Return what has been appended since the last time: the buffer's own memory."""
         count = self._count
         taken = slice(self._taken_rows, count)
-        rows = RunRows(self._steps[taken], self._time_ns[taken], self._values[taken])
         messages = self.messages[self._taken_messages :]
         self._taken_rows = count
         self._taken_messages += len(messages)
-        return RunContent(rows, messages)
-
-    def clear_rows(self) -> None:
-        """Forget the rows: there is room again."""
-        self._count = 0
-        self._taken_rows = 0
+        return RunContent(self._steps[taken], self._time_ns[taken], self._values[taken], messages)
 
     def clear(self) -> None:
-        """Forget everything."""
-        self.clear_rows()
-        self.messages = []
+        """Forget what was taken: there is room again."""
+        self._count = 0
+        self._taken_rows = 0
+        del self.messages[: self._taken_messages]
         self._taken_messages = 0
 
 
@@ -362,7 +337,7 @@ class BackgroundWriter:
                 break
             self._write(buffer)  # the run is not there to hand it over
             with self._copying:
-                buffer.clear_rows()
+                buffer.clear()
         self._write(buffer)
 
     def _write(self, buffer: RowBuffer) -> None:

@@ -27,7 +27,7 @@ from mcap import records
 from mcap.opcode import Opcode
 
 from cosim.arrays import Nanoseconds
-from cosim.log.mcap_records import HEADER, IndexEntry, RecordGroup, placed_entry, record_header
+from cosim.log.mcap_records import HEADER, IndexEntry, RecordGroup, joined_groups, record_header
 
 Compression = Literal["zstd", "lz4", "none"]
 MOST_BYTES = 64 * 2**20  # a chunk of ours has about 1 to 32 MiB
@@ -219,7 +219,7 @@ class Workers:
 
 CHUNK_BYTES: Final = 2**20  # of records, uncompressed
 _SMALL: Final = 2**14  # bytes: channels with less share a chunk
-_CHUNK_TIMES = struct.Struct("<QQQI")  # first and last time, size, CRC
+_CHUNK_HEADER: Final = struct.Struct("<QQQII")  # times, size, CRC, length of the name
 _INDEX_HEADER = struct.Struct("<BQHI")  # opcode, length, channel id, bytes of entries
 
 
@@ -233,20 +233,10 @@ class MessageBatch:
     offsets: Nanoseconds  # (n,) [bytes], from the start of ``data``
 
 
-@dataclass(frozen=True, slots=True)
-class _Chunk:
-    """A chunk with its indexes, at byte 0 of nothing."""
-
-    parts: Sequence[bytes | memoryview]
-    size: int
-    crc: int  # of all parts
-    entry: IndexEntry
-
-
 def one_chunk(batches: Sequence[MessageBatch], compression: Compression) -> RecordGroup:
     """Return all messages as one chunk, in memory of its own."""
     chunk = _chunk(batches, compression)
-    return RecordGroup([b"".join(chunk.parts)], [chunk.entry], chunk.crc)
+    return RecordGroup([b"".join(chunk.parts)], chunk.entries, chunk.crc)
 
 
 def separate_chunks(
@@ -259,21 +249,8 @@ def separate_chunks(
     contents = _contents(batches)
     if compression == "none":
         # There is so little to do that threads would mostly wait for the interpreter.
-        return _grouped([_chunk(content, compression) for content in contents])
-    return _grouped(workers.map(lambda content: _chunk(content, compression), contents))
-
-
-def _grouped(chunks: Sequence[_Chunk]) -> RecordGroup:
-    parts: list[bytes | memoryview] = []
-    entries: list[IndexEntry] = []
-    position = 0
-    crc = 0
-    for chunk in chunks:
-        entries.append(placed_entry(chunk.entry, position))
-        parts += chunk.parts
-        position += chunk.size
-        crc = isal_zlib.crc32_combine(crc, chunk.crc, chunk.size)
-    return RecordGroup(parts, entries, crc)
+        return joined_groups(_chunk(content, compression) for content in contents)
+    return joined_groups(workers.map(lambda content: _chunk(content, compression), contents))
 
 
 def _contents(batches: Sequence[MessageBatch]) -> Iterator[list[MessageBatch]]:
@@ -298,24 +275,20 @@ def _contents(batches: Sequence[MessageBatch]) -> Iterator[list[MessageBatch]]:
 
 def _pieces(batch: MessageBatch) -> Iterator[MessageBatch]:
     """Yield the messages of a batch in batches that fit into a chunk."""
+    ends = np.append(batch.offsets[1:], len(batch.data))
     first = 0
-    count = len(batch.offsets)
-    while first < count:
-        start = int(batch.offsets[first])
-        stop = int(np.searchsorted(batch.offsets, start + CHUNK_BYTES, side="right")) - 1
-        # The last message that begins within reach may end beyond it.
-        if len(batch.data) - start <= CHUNK_BYTES:
-            stop = count
-        stop = max(stop, first + 1)
-        end = len(batch.data) if stop == count else int(batch.offsets[stop])
+    start = 0
+    while first < len(ends):
+        stop = max(int(np.searchsorted(ends, start + CHUNK_BYTES, side="right")), first + 1)
+        end = int(ends[stop - 1])
         offsets = batch.offsets[first:stop] - start
-        yield MessageBatch(
-            batch.channel_id, batch.data[start:end], batch.time_ns[first:stop], offsets
-        )
+        data = batch.data[start:end]
+        yield MessageBatch(batch.channel_id, data, batch.time_ns[first:stop], offsets)
         first = stop
+        start = end
 
 
-def _chunk(batches: Sequence[MessageBatch], compression: Compression) -> _Chunk:
+def _chunk(batches: Sequence[MessageBatch], compression: Compression) -> RecordGroup:
     content = batches[0].data
     if len(batches) > 1:
         content = memoryview(b"".join(batch.data for batch in batches))
@@ -324,18 +297,24 @@ def _chunk(batches: Sequence[MessageBatch], compression: Compression) -> _Chunk:
     first_ns = int(min(batch.time_ns.min() for batch in batches))
     last_ns = int(max(batch.time_ns.max() for batch in batches))
     content_crc = isal_zlib.crc32(content)
-    header = _CHUNK_TIMES.pack(first_ns, last_ns, len(content), content_crc)
-    header += struct.pack("<I", len(name)) + name.encode() + struct.pack("<Q", len(compressed))
-    length = len(header) + len(compressed)
-    indexes = _message_indexes(batches)
-    chunk_length = HEADER + length
+    header = _CHUNK_HEADER.pack(first_ns, last_ns, len(content), content_crc, len(name))
+    header += name.encode() + struct.pack("<Q", len(compressed))
+    head = record_header(Opcode.CHUNK, len(header) + len(compressed)) + header
+    chunk_length = len(head) + len(compressed)
+    # Without a compression the CRC of the content is known already.
+    compressed_crc = content_crc if compressed is content else isal_zlib.crc32(compressed)
+    crc = isal_zlib.crc32_combine(isal_zlib.crc32(head), compressed_crc, len(compressed))
+    parts = [head, compressed]
     index_offsets = {}
-    counts = {}
     index_length = 0
-    for batch, index in zip(batches, indexes, strict=True):
+    batch_start = 0
+    for batch in batches:
+        index = _message_index(batch, batch_start)
         index_offsets[batch.channel_id] = chunk_length + index_length
-        counts[batch.channel_id] = len(batch.time_ns)
+        crc = isal_zlib.crc32(index, crc)
+        parts.append(index)
         index_length += len(index)
+        batch_start += len(batch.data)
     chunk_index = records.ChunkIndex(
         chunk_length=chunk_length,
         chunk_start_offset=0,
@@ -347,34 +326,22 @@ def _chunk(batches: Sequence[MessageBatch], compression: Compression) -> _Chunk:
         message_start_time=first_ns,
         uncompressed_size=len(content),
     )
-    head = record_header(Opcode.CHUNK, length) + header
-    # Without a compression the CRC of the content is known already.
-    compressed_crc = content_crc if compressed is content else isal_zlib.crc32(compressed)
-    crc = isal_zlib.crc32_combine(isal_zlib.crc32(head), compressed_crc, len(compressed))
-    for index in indexes:
-        crc = isal_zlib.crc32(index, crc)
-    parts = [head, compressed, *indexes]
-    return _Chunk(parts, chunk_length + index_length, crc, IndexEntry(chunk_index, counts))
+    counts = {batch.channel_id: len(batch.time_ns) for batch in batches}
+    return RecordGroup(parts, [IndexEntry(chunk_index, counts)], crc)
 
 
-def _message_indexes(batches: Sequence[MessageBatch]) -> list[bytes]:
-    """Return the message index record of each batch; its offsets count from the chunk's records."""
-    indexes = []
-    batch_start = 0
-    for batch in batches:
-        entries = np.empty((len(batch.time_ns), 2), "<i8")
-        entries[:, 0] = batch.time_ns
-        np.add(batch.offsets, batch_start, out=entries[:, 1])
-        length = _INDEX_HEADER.size - HEADER + entries.nbytes
-        header = _INDEX_HEADER.pack(Opcode.MESSAGE_INDEX, length, batch.channel_id, entries.nbytes)
-        indexes.append(header + entries.tobytes())
-        batch_start += len(batch.data)
-    return indexes
+def _message_index(batch: MessageBatch, start: int) -> bytes:
+    """Return the index record of a batch that begins at ``start`` of its chunk's records."""
+    entries = np.empty((len(batch.time_ns), 2), "<i8")
+    entries[:, 0] = batch.time_ns
+    np.add(batch.offsets, start, out=entries[:, 1])
+    length = _INDEX_HEADER.size - HEADER + entries.nbytes
+    header = _INDEX_HEADER.pack(Opcode.MESSAGE_INDEX, length, batch.channel_id, entries.nbytes)
+    return header + entries.tobytes()
 
 
 # --- reading ---
 
-_CHUNK_HEADER: Final = struct.Struct("<QQQII")  # times, size, CRC, length of the name
 _MOST_NAME: Final = 16  # bytes of a compression's name, more than any that is known has
 CHUNK_HEAD: Final = HEADER + _CHUNK_HEADER.size + _MOST_NAME + 8  # bytes that have what follows
 

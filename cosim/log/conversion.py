@@ -28,8 +28,8 @@ from cosim.core.recorded.joined_rows import JoinedRows
 from cosim.core.recorded.signals import RecordedPort
 from cosim.errors import LogError, UsageError
 from cosim.instants import NANOSECONDS
+from cosim.log.files import UnfinishedLog
 from cosim.log.text import LogChoice, csv_text, signal_metadata
-from cosim.log.unfinished import UnfinishedLog
 from cosim.units import units_text
 
 TIME_KEY: Final = "t:"  # before a component's name; no signal has a name without a dot

@@ -17,11 +17,10 @@ from cosim.core.recorded.joined_rows import JoinedRows, joined_rows
 from cosim.core.recorded.run import RecordedWindow, span_ns
 from cosim.core.recorded.selection import SelectedColumn, split_names
 from cosim.errors import LogError
-from cosim.log.files import OwnFile, part_path, part_paths
+from cosim.log.files import OwnFile, is_begun, is_written, part_path, part_paths
 from cosim.log.preamble import PART_REASON, PARTIAL, PARTIAL_STATUS
 from cosim.log.reader import Log, open_log
 from cosim.log.text import LogChoice
-from cosim.log.unfinished import is_begun, is_written
 
 POLL_INTERVAL: Final = 0.2  # s of wall time between two looks
 _ATTEMPTS: Final = 5  # to read a log that a run writes to, without a row more, or to find the next

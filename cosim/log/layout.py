@@ -17,7 +17,7 @@ channel that holds them all would have it. The checksums of the records cover al
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from fractions import Fraction
 from functools import lru_cache
@@ -35,9 +35,15 @@ from cosim.core.recorded.partial import PartialRecord, RecordSelection
 from cosim.core.signals import Channel, Interface, Signal, element_names
 from cosim.errors import GraphError, LogError, option, quoted
 from cosim.instants import StepNs
-from cosim.log.checksum import add_checksum, verify_checksum
 from cosim.log.mcap_records import HEADER
-from cosim.log.metadata import compact, json_table, json_texts, read_json
+from cosim.log.metadata import (
+    add_checksum,
+    compact,
+    json_table,
+    json_texts,
+    read_json,
+    verify_checksum,
+)
 from cosim.log.places import MALFORMED
 from cosim.units import BaseUnit
 
@@ -126,10 +132,12 @@ _CACHED_SIZES = 64  # most components have one of few sizes
 _ALWAYS_WRITTEN = ("name", "size", "unit", "variability", "optional", "type", "role")
 # the nominal value only scales tolerances, the description is for people
 _NOT_HASHED = ("nominal", "description")
+_NAMED = ("delayed", "lagging", "left_limits", "jumping")  # of an interface: names of signals
 _DOUBLE_WIRE_TYPE = 1  # of protobuf: 64 bits
 
-# Groups of fields whose tags have 1, 2 and 3 bytes: name, first field number, one past the last.
-_GROUPS = (("short", 1, 16), ("middle", 16, 2048), ("long", 2048, MOST_ELEMENTS + 1))
+# Groups of fields by the bytes of their tags, and those of a channel's elements that they have.
+_TAG_BYTES = {"short": 1, "middle": 2, "long": 3}
+_COLUMNS = {"short": (0, 15), "middle": (15, 2047), "long": (2047, MOST_ELEMENTS)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,27 +182,20 @@ class Part:
     def metadata(self) -> dict[str, str]:
         """What :func:`read_part` needs to build this part again."""
         channel = self.channel
+        interface = channel.interface
         items = {"cosim.component": channel.name, "cosim.kind": self.kind}
         items["cosim.step_ns"] = str(self.step_ns)
         items["cosim.period_ns"] = str(self.step_ns * channel.period)  # may be a/b, as the step
         items["cosim.start"] = str(channel.start)
         items["cosim.columns"] = f"{self.columns.start}:{self.columns.stop}"
-        items["cosim.signals"] = signals_json(channel.interface)
-        if channel.interface.initial:
-            items["cosim.initial"] = compact(dict(channel.interface.initial))
-        if channel.interface.delayed:
-            items["cosim.delayed"] = compact(list(channel.interface.delayed))
-        if channel.interface.lagging:
-            items["cosim.lagging"] = compact(list(channel.interface.lagging))
-        if channel.interface.left_limits:
-            items["cosim.left_limits"] = compact(list(channel.interface.left_limits))
-        if channel.interface.jumping:
-            items["cosim.jumping"] = compact(list(channel.interface.jumping))
-        if channel.interface.continuous:
-            items["cosim.continuous"] = compact(True)
-        descriptions = {s.name: s.description for s in channel.signals if s.description}
-        if descriptions:
-            items["cosim.descriptions"] = compact(descriptions)
+        items["cosim.signals"] = signals_json(interface)
+        further: dict[str, Any] = {"initial": dict(interface.initial)}
+        further |= {name: list(getattr(interface, name)) for name in _NAMED}
+        further["continuous"] = interface.continuous
+        further["descriptions"] = {s.name: s.description for s in channel.signals if s.description}
+        for name, value in further.items():
+            if value:
+                items[f"cosim.{name}"] = compact(value)
         # Last: the checksum covers all items, and what came after it would be unprotected.
         return add_checksum(_CHECKSUM_NAME, items)
 
@@ -233,22 +234,17 @@ def read_part(metadata: Mapping[str, str]) -> Part:
         raise ValueError(
             f"period {period_ns} ns, step {step_ns} ns and columns {start}:{stop} are inconsistent"
         )
-    signals = read_json(items["cosim.signals"])
-    descriptions = json_table(items.get("cosim.descriptions", "{}"))
-    initial = json_table(items.get("cosim.initial", "{}"))
-    delayed = read_json(items.get("cosim.delayed", "[]"))
-    lagging = read_json(items.get("cosim.lagging", "[]"))
-    left_limits = read_json(items.get("cosim.left_limits", "[]"))
-    jumping = read_json(items.get("cosim.jumping", "[]"))
-    continuous = read_json(items.get("cosim.continuous", "false"))
-    interface = replace(
-        _read_interface(signals, initial, descriptions),
-        delayed=tuple(delayed),
-        lagging=tuple(lagging),
-        left_limits=tuple(left_limits),
-        jumping=tuple(jumping),
-        continuous=bool(continuous),
+    declared = _read_interface(
+        read_json(items["cosim.signals"]),
+        json_table(items.get("cosim.initial", "{}")),
+        json_table(items.get("cosim.descriptions", "{}")),
     )
+    further: dict[str, Any] = {
+        "continuous": bool(read_json(items.get("cosim.continuous", "false")))
+    }
+    for own in _NAMED:
+        further[own] = tuple(read_json(items.get(f"cosim.{own}", "[]")))
+    interface = replace(declared, **further)
     first_column = read_number(items["cosim.start"])
     period = period_ns // step_ns
     channel = Channel(name, interface, first_column, period)
@@ -318,46 +314,26 @@ def _read_interface(
 ) -> Interface:
     if not isinstance(entries, list):
         raise ValueError(f"expected a list of signals, got {quoted(entries)}")
-    inputs: list[Signal] = []
-    outputs: list[Signal] = []
+    signals: dict[str, list[Signal]] = {"input": [], "output": []}
     feedthrough = {}
     for entry in entries:
         if not isinstance(entry, dict):
             raise ValueError(f"expected a signal, got {quoted(entry)}")
-        values = dict(entry)
         # First: causality and feedthrough belong to the interface, and are no fields of a signal.
-        causality = values.pop("causality")
+        values = {**entry, "description": descriptions.get(entry["name"], "")}
+        own = signals[values.pop("causality")]
         if "feedthrough" in values:
             feedthrough[values["name"]] = _input_names(values.pop("feedthrough"))
-        signals = {"input": inputs, "output": outputs}[causality]
-        signals.append(
-            _read_signal({**values, "description": descriptions.get(values["name"], "")})
-        )
-    initial_dependencies = {output: _input_names(names) for output, names in initial.items()}
-    _check_dependencies(feedthrough, inputs, outputs)
-    _check_dependencies(initial_dependencies, inputs, outputs)
-    return Interface(tuple(inputs), tuple(outputs), feedthrough, initial_dependencies)
-
-
-def _check_dependencies(
-    dependencies: Mapping[str, tuple[str, ...] | None],
-    inputs: Sequence[Signal],
-    outputs: Sequence[Signal],
-) -> None:
-    """Check that outputs depend on inputs.
-
-    Raises
-    ------
-    ValueError
-        If they depend on something else.
-    """
-    known_inputs = {signal.name for signal in inputs}
-    known_outputs = {signal.name for signal in outputs}
-    for output, names in dependencies.items():
-        if output not in known_outputs or not known_inputs.issuperset(names or ()):
+        own.append(_read_signal(values))
+    at_start = {output: _input_names(names) for output, names in initial.items()}
+    inputs = {signal.name for signal in signals["input"]}
+    outputs = {signal.name for signal in signals["output"]}
+    for output, names in (*feedthrough.items(), *at_start.items()):
+        if output not in outputs or not inputs.issuperset(names or ()):
             raise ValueError(
                 f"{quoted(output)} is declared to depend on {quoted(names)}, which are not inputs"
             )
+    return Interface(tuple(signals["input"]), tuple(signals["output"]), feedthrough, at_start)
 
 
 def _read_signal(values: dict[str, Any]) -> Signal:
@@ -410,12 +386,9 @@ def record_dtype(size: int) -> np.dtype[np.void]:
         ("log_time", "<u8"),
         ("publish_time", "<u8"),
     ]
-    for tag_bytes, (name, first, stop) in enumerate(_GROUPS, start=1):
-        if size >= first:
-            last = min(size, stop - 1)
-            count = last - first + 1
-            element = [("tag", "u1", (tag_bytes,)), ("value", "<f8")]
-            fields.append((name, element, (count,)))
+    for name, columns in group_columns(size).items():
+        element = [("tag", "u1", (_TAG_BYTES[name],)), ("value", "<f8")]
+        fields.append((name, element, (columns.stop - columns.start,)))
     return np.dtype(fields)
 
 
@@ -439,15 +412,10 @@ def field_tags(size: int) -> Mapping[str, NDArray[np.uint8]]:
     highest bit set in every byte but the last.
     """
     tags = {}
-    for tag_bytes, (name, first, stop) in enumerate(_GROUPS, start=1):
-        if size < first:
-            continue
-        last = min(size, stop - 1)
-        numbers = np.arange(first, last + 1, dtype=np.int64)
+    for name, columns in group_columns(size).items():
+        numbers = np.arange(columns.start + 1, columns.stop + 1, dtype=np.int64)
         keys = (numbers << 3) | _DOUBLE_WIRE_TYPE
-        varint = np.empty((len(keys), tag_bytes), dtype=np.uint8)
-        for position in range(tag_bytes):
-            varint[:, position] = (keys >> 7 * position) & 0x7F
+        varint = ((keys[:, None] >> 7 * np.arange(_TAG_BYTES[name])) & 0x7F).astype(np.uint8)
         varint[:, :-1] |= 0x80
         varint.setflags(write=False)
         tags[name] = varint
@@ -457,24 +425,14 @@ def field_tags(size: int) -> Mapping[str, NDArray[np.uint8]]:
 @lru_cache(_CACHED_SIZES)
 def group_columns(size: int) -> Mapping[str, slice]:
     """Return which elements of a part stand in which group of fields."""
-    columns = {}
-    for name, first, stop in _GROUPS:
-        if size >= first:
-            last = min(size, stop - 1)
-            columns[name] = slice(first - 1, last)  # field numbers begin at 1, elements at 0
-    return MappingProxyType(columns)
+    found = {name: slice(start, min(size, stop)) for name, (start, stop) in _COLUMNS.items()}
+    return MappingProxyType({name: own for name, own in found.items() if own.start < own.stop})
 
 
-def copy_values(records: Records, target: Matrix) -> None:
-    """Copy the doubles of message records to ``target``, shape (n, size).
-
-    Raises
-    ------
-    ValueError
-        If the records have other fields than ours.
-    """
-    size = target.shape[1]
-    copy_columns(records, target, size=size, columns=slice(0, size))
+def fill_values(records: Records, values: Matrix) -> None:
+    """Fill the doubles of message records with ``values``, shape (n, size)."""
+    for name, columns in group_columns(values.shape[1]).items():
+        records[name]["value"] = values[:, columns]
 
 
 def copy_columns(records: Records, target: Matrix, *, size: int, columns: slice) -> None:
@@ -541,34 +499,19 @@ def read_channels(path: Path, parts: Iterable[Part]) -> dict[str, Channel]:
     # By name too: a component without signals starts where the next one does.
     in_order = sorted(parts, key=lambda part: (part.channel.start, part.channel.name))
     channels = {part.channel.name: part.channel for part in in_order}
-    columns: dict[str, list[slice]] = {name: [] for name in channels}
+    columns: dict[str, list[tuple[int, int]]] = {name: [] for name in channels}
     for part in in_order:
         name = part.channel.name
         if part.channel != channels[name] or part.step_ns != in_order[0].step_ns:
             raise LogError(f"{path}: the channels of {name!r} contradict each other")
-        columns[name].append(part.columns)
+        columns[name].append((part.columns.start, part.columns.stop))
     for name, channel in channels.items():
-        _check_whole(path, channel, columns[name])
+        spans = sorted(columns[name])
+        width = channel.columns.stop - channel.start
+        starts = [0, *(stop for _, stop in spans)]
+        if starts != [*(start for start, _ in spans), width]:
+            raise LogError(
+                f"{path}: component {name!r} is incomplete: expected columns 0 to {width} once, "
+                f"got {spans}"
+            )
     return channels
-
-
-def _check_whole(path: Path, channel: Channel, columns: list[slice]) -> None:
-    """Check that the parts of a component tile its row.
-
-    Raises
-    ------
-    LogError
-        If some columns are missing, or recorded more than once.
-    """
-    spans = sorted((span.start, span.stop) for span in columns)
-    column = 0
-    is_contiguous = True
-    for start, stop in spans:
-        is_contiguous &= start == column
-        column = stop
-    width = channel.columns.stop - channel.start
-    if not is_contiguous or column != width:
-        raise LogError(
-            f"{path}: component {channel.name!r} is incomplete: expected columns 0 to {width} "
-            f"once, got {spans}"
-        )

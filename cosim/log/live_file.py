@@ -202,7 +202,7 @@ class LiveFile:
         if tail.start != self._end:
             self._put(self._end, group)
         padding = _padding(self._end + group.size)
-        self._summary.add(group.placed(self._end))
+        self._summary = self._summary.with_entries(group.placed(self._end))
         crc = isal_zlib.crc32_combine(self._crc, group.crc, group.size)
         self._crc = isal_zlib.crc32(padding, crc)
         self._end += group.size + len(padding)
@@ -274,7 +274,7 @@ class LiveFile:
     def _encoded(self, entries: Sequence[IndexEntry]) -> EncodedSummary:
         """Encode the summary for the slot that the footer does not name."""
         slot = self._frame.slot(1 - self._active)
-        return self._summary.encoded(slot + HEADER + DATA_END_SIZE, entries)
+        return self._summary.with_entries(entries).encoded(slot + HEADER + DATA_END_SIZE)
 
     def _grow(self, needed: int, summary: int) -> None:
         """Lengthen the file, so that the hole reaches beyond byte ``needed``.
@@ -326,7 +326,7 @@ class LiveFile:
         for number in (0, 1):
             self._write(frame.slot(number), record_header(SLOT, frame.slot_size - HEADER))
         start = frame.slot(0) + HEADER + DATA_END_SIZE
-        encoded = self._summary.encoded(start, published)
+        encoded = self._summary.with_entries(published).encoded(start)
         return self._write_slot(frame, 0, encoded, footer_start=frame.footer)
 
     def _write_slot(

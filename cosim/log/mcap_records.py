@@ -7,7 +7,7 @@ every flush, a chunk's entry is encoded once; only the statistics and the places
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple, TypeAlias, final
 
@@ -79,6 +79,16 @@ class IndexEntry:
     index: IndexRecord  # its offsets are those in its ``RecordGroup`` until it is placed
     counts: dict[int, int]  # messages by channel id
 
+    def placed(self, position: int) -> IndexEntry:
+        """Return it with offsets that count from the start of the file, not from ``position``."""
+        index = self.index
+        if not isinstance(index, records.ChunkIndex):
+            return IndexEntry(replace(index, offset=index.offset + position), self.counts)
+        offsets = {key: own + position for key, own in index.message_index_offsets.items()}
+        start = index.chunk_start_offset + position
+        placed = replace(index, chunk_start_offset=start, message_index_offsets=offsets)
+        return IndexEntry(placed, self.counts)
+
 
 @dataclass(frozen=True, slots=True)
 class RecordGroup:
@@ -104,39 +114,48 @@ class RecordGroup:
 
     def placed(self, position: int) -> list[IndexEntry]:
         """Return the entries of the group where it begins at ``position``."""
-        return [placed_entry(entry, position) for entry in self.entries]
+        return [entry.placed(position) for entry in self.entries]
 
 
-def placed_entry(entry: IndexEntry, position: int) -> IndexEntry:
-    """Return an entry whose offsets count from the start of the file, not from ``position``."""
-    index = entry.index
-    if not isinstance(index, records.ChunkIndex):
-        return IndexEntry(replace(index, offset=index.offset + position), entry.counts)
-    offsets = {
-        channel_id: offset + position for channel_id, offset in index.message_index_offsets.items()
-    }
-    placed_index = replace(
-        index,
-        chunk_start_offset=index.chunk_start_offset + position,
-        message_index_offsets=offsets,
-    )
-    return IndexEntry(placed_index, entry.counts)
+def joined_groups(groups: Iterable[RecordGroup]) -> RecordGroup:
+    """Return groups side by side."""
+    parts: list[bytes | memoryview] = []
+    entries: list[IndexEntry] = []
+    position = 0
+    crc = 0
+    for group in groups:
+        parts += group.parts
+        entries += group.placed(position)
+        crc = isal_zlib.crc32_combine(crc, group.crc, group.size)
+        position += group.size
+    return RecordGroup(parts, entries, crc)
 
 
-@final
+@dataclass(frozen=True, slots=True)
 class FileSummary:
     """What the summary of a file says.
 
     Parameters
     ----------
-    schemas : sequence of Schema
-    channels : sequence of Channel
+    declared : tuple of bytes
+        Schemas, channels.
+    statistics : Statistics
+    indexes : mapping of Opcode to bytes
+        The records that tell where chunks, attachments and metadata are.
     """
 
-    def __init__(
-        self, schemas: Sequence[records.Schema], channels: Sequence[records.Channel]
-    ) -> None:
-        self._statistics = records.Statistics(
+    declared: tuple[bytes, bytes]
+    statistics: records.Statistics
+    indexes: Mapping[Opcode, bytes]
+
+    @staticmethod
+    def of(
+        schemas: Sequence[records.Schema],
+        channels: Sequence[records.Channel],
+        entries: Sequence[IndexEntry] = (),
+    ) -> FileSummary:
+        """Return the summary of schemas, channels and other records."""
+        statistics = records.Statistics(
             attachment_count=0,
             channel_count=len(channels),
             channel_message_counts={channel.id: 0 for channel in channels},
@@ -147,70 +166,52 @@ class FileSummary:
             metadata_count=0,
             schema_count=len(schemas),
         )
-        self._schemas = encoded(*schemas)
-        self._channels = encoded(*channels)
-        self._indexes = {opcode: bytearray() for opcode in _INDEX_OPCODES.values()}
+        indexes = dict.fromkeys(_INDEX_OPCODES.values(), b"")
+        summary = FileSummary((encoded(*schemas), encoded(*channels)), statistics, indexes)
+        return summary.with_entries(entries)
 
-    def add(self, entries: Sequence[IndexEntry]) -> None:
-        """Add what the file has for good."""
+    def with_entries(self, entries: Sequence[IndexEntry]) -> FileSummary:
+        """Return the summary of a file that has more records and chunks."""
+        further: dict[Opcode, list[IndexRecord]] = {opcode: [] for opcode in self.indexes}
+        old = self.statistics
+        counts = dict(old.channel_message_counts)
+        spans = [(old.message_start_time, old.message_end_time)] if old.chunk_count else []
         for entry in entries:
-            self._indexes[_INDEX_OPCODES[type(entry.index)]] += encoded(entry.index)
-        self._statistics = _counted(self._statistics, entries)
+            further[_INDEX_OPCODES[type(entry.index)]].append(entry.index)
+            for channel_id, count in entry.counts.items():
+                counts[channel_id] += count
+            if isinstance(entry.index, records.ChunkIndex):
+                spans.append((entry.index.message_start_time, entry.index.message_end_time))
+        statistics = replace(
+            old,
+            attachment_count=old.attachment_count + len(further[Opcode.ATTACHMENT_INDEX]),
+            channel_message_counts=counts,
+            chunk_count=old.chunk_count + len(further[Opcode.CHUNK_INDEX]),
+            message_count=sum(counts.values()),
+            message_end_time=max((end for _, end in spans), default=0),
+            message_start_time=min((start for start, _ in spans), default=0),
+            metadata_count=old.metadata_count + len(further[Opcode.METADATA_INDEX]),
+        )
+        indexes = {key: data + encoded(*further[key]) for key, data in self.indexes.items()}
+        return FileSummary(self.declared, statistics, indexes)
 
-    def encoded(self, start: int, entries: Sequence[IndexEntry] = ()) -> EncodedSummary:
-        """Return the summary that begins at ``start``, with further entries for now."""
-        statistics = _counted(self._statistics, entries)
-        further = {opcode: bytearray() for opcode in self._indexes}
-        for entry in entries:
-            further[_INDEX_OPCODES[type(entry.index)]] += encoded(entry.index)
-        groups: list[tuple[Opcode, bytes | bytearray]] = [
-            (Opcode.SCHEMA, self._schemas),
-            (Opcode.CHANNEL, self._channels),
-            (Opcode.STATISTICS, encoded(statistics)),
-        ]
-        for opcode, indexes in self._indexes.items():
-            groups.append((opcode, indexes + further[opcode]))
+    def encoded(self, start: int) -> EncodedSummary:
+        """Return the summary that begins at ``start``."""
+        schemas, channels = self.declared
+        groups = {
+            Opcode.SCHEMA: schemas,
+            Opcode.CHANNEL: channels,
+            Opcode.STATISTICS: encoded(self.statistics),
+            **self.indexes,
+        }
         position = start
         offsets = []
-        for opcode, data in groups:
+        for opcode, data in groups.items():
             if data:
                 offsets.append(records.SummaryOffset(opcode, position, len(data)))
             position += len(data)
-        parts = [data for _, data in groups]
-        return EncodedSummary(b"".join([*parts, encoded(*offsets)]), position)
-
-
-def _counted(statistics: records.Statistics, entries: Sequence[IndexEntry]) -> records.Statistics:
-    """Return the statistics of a file that has more records and chunks."""
-    chunks = []
-    metadata_count = statistics.metadata_count
-    attachment_count = statistics.attachment_count
-    counts = dict(statistics.channel_message_counts)
-    for entry in entries:
-        match entry.index:
-            case records.MetadataIndex():
-                metadata_count += 1
-            case records.AttachmentIndex():
-                attachment_count += 1
-            case records.ChunkIndex():
-                chunks.append(entry.index)
-        for channel_id, count in entry.counts.items():
-            counts[channel_id] += count
-    starts = [chunk.message_start_time for chunk in chunks]
-    ends = [chunk.message_end_time for chunk in chunks]
-    if statistics.chunk_count:
-        starts.append(statistics.message_start_time)
-        ends.append(statistics.message_end_time)
-    return replace(
-        statistics,
-        attachment_count=attachment_count,
-        channel_message_counts=counts,
-        chunk_count=statistics.chunk_count + len(chunks),
-        message_count=sum(counts.values()),
-        message_end_time=max(ends, default=0),
-        message_start_time=min(starts, default=0),
-        metadata_count=metadata_count,
-    )
+        data = b"".join([*groups.values(), encoded(*offsets)])
+        return EncodedSummary(data, position)
 
 
 @final
@@ -224,8 +225,7 @@ class FileHead:
     """
 
     def __init__(self, *, library: str) -> None:
-        self._parts = [MAGIC, encoded(records.Header(profile="", library=library))]
-        self._size = sum(map(len, self._parts))
+        self._data = bytearray(MAGIC + encoded(records.Header(profile="", library=library)))
         self._schemas: list[records.Schema] = []
         self._channels: list[records.Channel] = []
         self._entries: list[IndexEntry] = []
@@ -233,13 +233,11 @@ class FileHead:
     @property
     def data(self) -> bytes:
         """The bytes."""
-        return b"".join(self._parts)
+        return bytes(self._data)
 
     def summary(self) -> FileSummary:
         """Return the summary of what is here."""
-        summary = FileSummary(self._schemas, self._channels)
-        summary.add(self._entries)
-        return summary
+        return FileSummary.of(self._schemas, self._channels, self._entries)
 
     def channel(self, topic: str, *, schema: tuple[str, bytes], metadata: dict[str, str]) -> int:
         """Add a channel with its own protobuf schema; return the channel's id.
@@ -262,7 +260,7 @@ class FileHead:
         """Add schemas and channels with the ids that they have."""
         self._schemas += schemas
         self._channels += channels
-        self._append(encoded(*schemas, *channels))
+        self._data += encoded(*schemas, *channels)
 
     def metadata(self, name: str, items: dict[str, str]) -> None:
         """Add a metadata record."""
@@ -273,34 +271,22 @@ class FileHead:
         self._add(attachment_group(name, media_type, content))
 
     def _add(self, group: RecordGroup) -> None:
-        self._entries += group.placed(self._size)
-        self._append(b"".join(group.parts))
-
-    def _append(self, data: bytes) -> None:
-        self._parts.append(data)
-        self._size += len(data)
+        self._entries += group.placed(len(self._data))
+        self._data += b"".join(group.parts)
 
 
 def metadata_group(name: str, items: dict[str, str]) -> RecordGroup:
     """Return a metadata record."""
     data = encoded(records.Metadata(name=name, metadata=items))
-    index = records.MetadataIndex(offset=0, length=len(data), name=name)
-    return RecordGroup([data], [IndexEntry(index, {})], isal_zlib.crc32(data))
+    return _group(data, records.MetadataIndex(0, len(data), name))
 
 
 def attachment_group(name: str, media_type: str, content: bytes) -> RecordGroup:
     """Return an attachment, at time 0."""
-    attachment = records.Attachment(
-        create_time=0, log_time=0, name=name, media_type=media_type, data=content
-    )
-    data = encoded(attachment)
-    index = records.AttachmentIndex(
-        offset=0,
-        length=len(data),
-        log_time=0,
-        create_time=0,
-        data_size=len(content),
-        name=name,
-        media_type=media_type,
-    )
+    data = encoded(records.Attachment(0, 0, name, media_type, content))
+    index = records.AttachmentIndex(0, len(data), 0, 0, len(content), name, media_type)
+    return _group(data, index)
+
+
+def _group(data: bytes, index: IndexRecord) -> RecordGroup:
     return RecordGroup([data], [IndexEntry(index, {})], isal_zlib.crc32(data))

@@ -17,13 +17,13 @@ from mcap.opcode import Opcode
 from cosim.arrays import Mask, Nanoseconds
 from cosim.errors import GraphError, LogError
 from cosim.instants import Grid
-from cosim.log.checksum import verify_checksum
 from cosim.log.chunks import MessageBatch, Workers, separate_chunks
 from cosim.log.container import Container, OtherRecord, scan
+from cosim.log.files import UnfinishedLog
 from cosim.log.layout import Part, read_part, record_dtype
 from cosim.log.live_file import LiveFile
 from cosim.log.mcap_records import FileHead, RecordGroup, attachment_group, record_header
-from cosim.log.metadata import json_table, library_name, recorded_start_ns
+from cosim.log.metadata import json_table, library_name, recorded_start_ns, verify_checksum
 from cosim.log.places import MALFORMED
 from cosim.log.preamble import (
     PARTIAL,
@@ -37,7 +37,6 @@ from cosim.log.preamble import (
 )
 from cosim.log.reader import Log
 from cosim.log.rows import record_times
-from cosim.log.unfinished import UnfinishedLog
 
 OF_THE_END: Final = (RESULT, PARTIAL)  # metadata that a part has of its own
 # Returns which messages of a channel are wanted, by their times and records.

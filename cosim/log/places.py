@@ -27,7 +27,6 @@ from mcap.opcode import Opcode
 from mcap.summary import Summary
 
 from cosim.errors import LogError
-from cosim.log.checksum import PREFIX, verify_checksum
 from cosim.log.chunks import CHUNK_HEAD, MOST_BYTES, decompressed, read_chunk_header
 from cosim.log.files import open_file
 from cosim.log.live_file import SEAL
@@ -40,6 +39,7 @@ from cosim.log.mcap_records import (
     PAD,
     RECORD_HEADER,
 )
+from cosim.log.metadata import PREFIX, verify_checksum
 
 # what parsing bytes from outside may raise
 MALFORMED: Final = (McapError, ValueError, KeyError, TypeError, OverflowError, struct.error)

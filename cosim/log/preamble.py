@@ -8,22 +8,47 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, TypeAlias
 
 import numpy as np
-from isal import isal_zlib
 
-from cosim.core.recorders import EndOfRun
 from cosim.core.recording import Plan
 from cosim.instants import NANOSECONDS
-from cosim.log.checksum import add_checksum
-from cosim.log.layout import DECLARED, RECORD, Part, declaration_json, partial_metadata
-from cosim.log.mcap_records import FileHead, RecordGroup, attachment_group, metadata_group
-from cosim.log.messages import EVENT_SCHEMA, LOG_SCHEMA, STEP_SCHEMA, MessageSchema
-from cosim.log.metadata import WRITTEN, compact, encode_design, environment
-from cosim.log.schema import component_schema, element_comments, identifiers, part_comment
+from cosim.log.layout import (
+    DECLARED,
+    RECORD,
+    Part,
+    declaration_json,
+    partial_metadata,
+    split_channel,
+)
+from cosim.log.mcap_records import (
+    FileHead,
+    RecordGroup,
+    attachment_group,
+    joined_groups,
+    metadata_group,
+)
+from cosim.log.messages import (
+    EVENT_SCHEMA,
+    LOG_SCHEMA,
+    STEP_SCHEMA,
+    MessageSchema,
+    component_schema,
+    element_comments,
+    identifiers,
+    part_comment,
+)
+from cosim.log.metadata import (
+    WRITTEN,
+    add_checksum,
+    compact,
+    encode_design,
+    environment,
+    library_name,
+)
 from cosim.log.viewer_layout import LAYOUT_FILE, layout_json, output_panels
 
 RESULT = "cosim.result"
@@ -36,51 +61,6 @@ PART_REASON = "part "  # what the reason of a file of several begins with, befor
 ResultItems: TypeAlias = Mapping[str, str | int]
 
 
-@dataclass(frozen=True, slots=True)
-class LastRow:
-    """The last row of a run."""
-
-    steps: int = 0
-    end_ns: int = 0
-
-
-def result_items(end: EndOfRun, last_row: LastRow, *, content_hash: str) -> ResultItems:
-    """Return what is recorded of the end of a run."""
-    return {**asdict(end), **asdict(last_row), "content_hash": content_hash}
-
-
-def with_whole(part: RecordGroup, whole: ResultItems) -> RecordGroup:
-    """Return the end of the last file of a log of several behind that of the whole run."""
-    return _joined(result_record(PARTIAL, whole), part)
-
-
-def part_items(
-    number: int, first_ns: int | None, last_row: Mapping[str, Any], content_hash: str
-) -> ResultItems:
-    """Return what is recorded of the end of a file of several.
-
-    Parameters
-    ----------
-    number : int
-        Of the file, from 1.
-    first_ns : int or None
-        Its first row [ns]; None: there is none.
-    last_row : mapping
-        Its ``steps`` and ``end_ns``.
-    content_hash : str
-        Of the rows of the file.
-    """
-    end_ns = last_row["end_ns"]
-    where = "without rows" if first_ns is None else span_text(first_ns, end_ns)
-    return {
-        "status": PARTIAL_STATUS,
-        "reason": f"{PART_REASON}{number} of its log, {where}",
-        "steps": last_row["steps"],
-        "end_ns": end_ns,
-        "content_hash": content_hash,
-    }
-
-
 def span_text(first_ns: int, last_ns: int) -> str:
     """Return from when to when some rows are, in words."""
     return f"from {first_ns / NANOSECONDS} s to {last_ns / NANOSECONDS} s"
@@ -91,19 +71,13 @@ def end_group(items: ResultItems, values: Mapping[str, Any]) -> RecordGroup:
     # Ours after the caller's: no caller may overwrite how the run ended.
     text = json.dumps({**values, **items}, default=_to_json, indent=2)
     attachment = attachment_group(RESULT_FILE, "application/json", text.encode())
-    return _joined(result_record(RESULT, items), attachment)
+    return joined_groups([result_record(RESULT, items), attachment])
 
 
 def result_record(name: str, items: ResultItems) -> RecordGroup:
     """Return the metadata record ``name``: how a run or a part of it ended."""
     texts = {key: str(value) for key, value in items.items()}
     return metadata_group(name, add_checksum(name, texts))
-
-
-def _joined(first: RecordGroup, second: RecordGroup) -> RecordGroup:
-    entries = [*first.entries, *second.placed(first.size)]
-    crc = isal_zlib.crc32_combine(first.crc, second.crc, second.size)
-    return RecordGroup([*first.parts, *second.parts], entries, crc)
 
 
 def _to_json(value: object) -> object:
@@ -117,6 +91,11 @@ FORMAT = "2"
 LOG_TOPIC = "/cosim/log"
 EVENT_TOPIC = "/cosim/event"
 STEP_TOPIC = "/cosim/step"
+SCHEMAS: Mapping[str, MessageSchema] = {
+    LOG_TOPIC: LOG_SCHEMA,
+    EVENT_TOPIC: EVENT_SCHEMA,
+    STEP_TOPIC: STEP_SCHEMA,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,75 +112,64 @@ def part_schemas(parts: Sequence[Part]) -> list[tuple[str, bytes]]:
     messages = identifiers([part.title for part in parts])
     schemas = []
     for part, message in zip(parts, messages, strict=True):
-        schemas.append((f"cosim.{message}", part_schema(part, message)))
+        title = part_comment(part)
+        comments = element_comments(part)
+        schema = component_schema(message, part.elements, title=title, comments=comments)
+        schemas.append((f"cosim.{message}", schema))
     return schemas
 
 
-def part_schema(part: Part, message: str) -> bytes:
-    """Return the schema of a part's messages, ``cosim.<message>``."""
-    title = part_comment(part)
-    comments = element_comments(part)
-    return component_schema(message, part.elements, title=title, comments=comments)
-
-
-def add_parts(head: FileHead, parts: Sequence[Part]) -> list[int]:
-    """Add schema and channel of every part; return the channels' ids."""
-    channel_ids = []
-    for part, schema in zip(parts, part_schemas(parts), strict=True):
-        topic = f"/{part.title}"
-        channel_id = head.channel(topic, schema=schema, metadata=part.metadata)
-        channel_ids.append(channel_id)
-    return channel_ids
-
-
-def add_event_channel(head: FileHead) -> int:
-    """Add the channel of the jumps of signals; return its id."""
-    return _add_channel(head, EVENT_TOPIC, EVENT_SCHEMA)
-
-
-def add_step_channel(head: FileHead) -> int:
-    """Add the channel of the substeps of loops; return its id."""
-    return _add_channel(head, STEP_TOPIC, STEP_SCHEMA)
-
-
-def add_preamble(
-    head: FileHead,
+def begin_file(
     plan: Plan,
     *,
     metadata: Mapping[str, Mapping[str, str]],
     attachments: Sequence[Attachment],
     kinds: Mapping[str, str],
-) -> int:
-    """Add the channel of messages, the metadata and the attachments; return the channel's id."""
-    channel_id = _add_channel(head, LOG_TOPIC, LOG_SCHEMA)
-    for name, items in _complete_metadata(plan, metadata, kinds).items():
-        head.metadata(name, add_checksum(name, items))
-    for attachment in _with_layout(plan, attachments):
-        head.attachment(attachment.name, attachment.media_type, attachment.data)
-    return channel_id
+    topics: Sequence[str] = (),
+) -> tuple[FileHead, dict[int, Part], dict[str, int]]:
+    """Return what a file begins with, the parts of its components and the topics beside them.
 
+    Both with the ids of their channels.
 
-def _with_layout(plan: Plan, attachments: Sequence[Attachment]) -> list[Attachment]:
-    """Return attachments with a layout for viewers; the caller's, where there is one."""
-    if any(attachment.name == LAYOUT_FILE for attachment in attachments):
-        return list(attachments)
-    layout = layout_json(output_panels(plan.channels))
-    return [*attachments, Attachment(LAYOUT_FILE, "application/json", layout)]
+    Parameters
+    ----------
+    plan : Plan
+    metadata : mapping of record name to its items
+    attachments : sequence of Attachment
+    kinds : mapping of component name to str
+    topics : sequence of str
+        ``EVENT_TOPIC``, ``STEP_TOPIC``, where there are such messages.
+    """
+    head = FileHead(library=library_name())
+    parts: list[Part] = []
+    for channel in plan.layout.channels:
+        kind = kinds.get(channel.name, "")
+        parts += split_channel(channel, kind=kind, step_ns=plan.step_ns)
+    numbered = {}
+    for part, schema in zip(parts, part_schemas(parts), strict=True):
+        number = head.channel(f"/{part.title}", schema=schema, metadata=part.metadata)
+        numbered[number] = part
+    topic_ids = {}
 
+    def add(topic: str) -> None:
+        schema = SCHEMAS[topic]
+        serialized = (schema.name, schema.serialized)
+        topic_ids[topic] = head.channel(topic, schema=serialized, metadata={})
 
-def _add_channel(head: FileHead, topic: str, schema: MessageSchema) -> int:
-    return head.channel(topic, schema=(schema.name, schema.serialized), metadata={})
-
-
-def _complete_metadata(
-    plan: Plan, metadata: Mapping[str, Mapping[str, str]], kinds: Mapping[str, str]
-) -> dict[str, dict[str, str]]:
-    """Return all metadata records: the caller's, completed by the recorder's own."""
-    completed = {name: dict(items) for name, items in metadata.items()}
-    for name, items in _own_metadata(plan, kinds).items():
+    add(LOG_TOPIC)
+    own = _own_metadata(plan, kinds)
+    for name in {**metadata, **own}:
         # Ours after the caller's: no caller may overwrite what a replay rests on.
-        completed[name] = {**completed.get(name, {}), **items}
-    return completed
+        items = {**metadata.get(name, {}), **own.get(name, {})}
+        head.metadata(name, add_checksum(name, items))
+    for attachment in attachments:
+        head.attachment(attachment.name, attachment.media_type, attachment.data)
+    if all(attachment.name != LAYOUT_FILE for attachment in attachments):
+        layout = layout_json(output_panels(plan.channels))
+        head.attachment(LAYOUT_FILE, "application/json", layout)
+    for topic in topics:
+        add(topic)
+    return head, numbered, topic_ids
 
 
 def _own_metadata(plan: Plan, kinds: Mapping[str, str]) -> dict[str, dict[str, str]]:

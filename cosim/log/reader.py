@@ -27,7 +27,6 @@ from cosim.core.recording import SignalEvent, Substep
 from cosim.core.signals import Channel
 from cosim.errors import GraphError, LogError, UsageError, nearest, quoted
 from cosim.instants import Grid, StepNs
-from cosim.log.checksum import verify_checksum
 from cosim.log.container import Container
 from cosim.log.files import OwnFile, log_path
 from cosim.log.layout import read_channels, read_number, read_partial, read_parts
@@ -39,6 +38,7 @@ from cosim.log.metadata import (
     json_texts,
     read_json,
     recorded_start_ns,
+    verify_checksum,
 )
 from cosim.log.places import MALFORMED
 from cosim.log.preamble import (

@@ -4,89 +4,24 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Mapping, Sequence
-from io import RawIOBase
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self, final
 
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block
-from cosim.core.recorders import EndOfRun, end_of_run
+from cosim.core.recorders import end_of_run
 from cosim.core.recording import MessageLevel, Plan, RowsUnderWay, SignalEvent, Substep
-from cosim.core.signals import Channel
 from cosim.errors import LogError, LogWriteError, RunError
 from cosim.instants import NANOSECONDS, Grid
 from cosim.interrupts import uninterrupted
 from cosim.log.background import FLUSH_INTERVAL, BackgroundWriter, WaitingMessage
-from cosim.log.chunks import CHUNK_BYTES, Compression
-from cosim.log.files import Rotation
-from cosim.log.layout import Part, record_dtype, split_channel
-from cosim.log.live_file import LiveFile
-from cosim.log.mcap_records import FileHead
+from cosim.log.chunks import Compression
+from cosim.log.files import Rotation, UnfinishedLog
 from cosim.log.messages import encode_event, encode_log, encode_substep
-from cosim.log.metadata import library_name
-from cosim.log.preamble import (
-    EVENT_TOPIC,
-    LOG_TOPIC,
-    STEP_TOPIC,
-    Attachment,
-    add_event_channel,
-    add_parts,
-    add_preamble,
-    add_step_channel,
-)
+from cosim.log.preamble import EVENT_TOPIC, LOG_TOPIC, STEP_TOPIC, Attachment, begin_file
 from cosim.log.reader import Log
-from cosim.log.store import LogOptions, LogStore, check_no_parts
-from cosim.log.unfinished import UnfinishedLog
-
-_CHUNK: Final = 256  # bytes of a chunk beside its records, with its entry in the summary; 194
-_CHUNK_CHANNEL: Final = 25  # bytes a chunk has for each channel: 15 in its index, 10 in the summary
-_PADDING: Final = 16  # bytes before the header of a chunk that would cross a page; 9
-_INDEX_ENTRY: Final = 16  # bytes that the index has for each message
-_EXPANSION: Final = 255  # a compression makes a chunk longer by one part of this, at most
-_END: Final = 8192  # bytes of the result and the records that close the file
-_VALUE: Final = 64  # bytes of a value in the result, beside its name
-_ESCAPED: Final = 6  # bytes of a character of a name in JSON
-
-
-def size_bound(parts: Sequence[Part], steps: int, *, start: int, capacity: int) -> int:
-    """Return how large the log of a run can become, without its messages [bytes].
-
-    It is an upper bound for every compression, however often the file is flushed.
-
-    Parameters
-    ----------
-    parts : sequence of Part
-    steps : int
-        Of the run.
-    start : int
-        Bytes of the file before its first row.
-    capacity : int
-        Rows of a flush.
-    """
-    rows = steps + 1
-    records = 0
-    for part in parts:
-        messages = steps // part.channel.period + 1
-        records += messages * (record_dtype(part.size).itemsize + _INDEX_ENTRY)
-    channels = {part.channel.name: part.channel for part in parts}
-    values = sum(map(_result_bytes, channels.values()))
-    # A flush of few rows is joined by others until they make half a chunk, or by a full one.
-    flushes = 2 * (rows // capacity + records // (CHUNK_BYTES // 2)) + 2
-    flush_overhead = _PADDING + len(parts) * (_CHUNK + _CHUNK_CHANNEL)
-    overhead = flushes * flush_overhead + records // CHUNK_BYTES * _CHUNK
-    # Twice the start: the summary repeats its schemas and channels.
-    return records + records // _EXPANSION + overhead + 2 * start + values + _END
-
-
-def _result_bytes(channel: Channel) -> int:
-    """Return how long the last values of a channel are in the result, at most."""
-    total = 0
-    for signal in channel.signals:
-        name = len(channel.name) + len(signal.name)
-        total += signal.size * (_VALUE + _ESCAPED * name)
-    return total
-
+from cosim.log.store import LogOptions, LogStore, check_place
 
 _GONE: Final = (errno.ENOENT, errno.ESTALE)  # the file at its path is not that of the run
 
@@ -145,14 +80,12 @@ class McapRecorder:
         sync: bool = False,
         rotation: Rotation | None = None,
     ) -> None:
-        self._options = LogOptions(compression, force, sync, rotation)
-        self._numbered = numbered
+        self._options = LogOptions(compression, sync, rotation)
         self._kinds = kinds or {}
         self._metadata = metadata or {}
         self._attachments = attachments
         self._result: dict[str, Any] = {}
-        self._has_events = events
-        self._has_substeps = substeps
+        self._topics = [EVENT_TOPIC] * events + [STEP_TOPIC] * substeps
         self._channel_ids: dict[str, int] = {}  # of what is no signal, by topic
         self._flush = flush
         self._file = UnfinishedLog(path, force=force, numbered=numbered)
@@ -187,9 +120,7 @@ class McapRecorder:
         LogError
             If the file exists and is to stay, the path is a folder, or its folder takes no files.
         """
-        self._file.check_free()
-        if not self._numbered:
-            check_no_parts(self.path, force=self._options.force)
+        check_place(self._file)
         return self
 
     def __exit__(
@@ -212,7 +143,11 @@ class McapRecorder:
                 if self._writer is not None and self._is_worth_keeping(error):
                     # First: if the end cannot be written, what could be is at its path.
                     self._store.publish()
-                    self._complete(self._writer, end_of_run(error))
+                    try:
+                        rest = self._writer.close()
+                        self._store.finish(rest, end_of_run(error), self._result)
+                    except OSError as failure:
+                        self._fail(failure)
             finally:
                 if self._writer is not None:
                     self._writer.stop()
@@ -232,34 +167,21 @@ class McapRecorder:
             If the file cannot be created.
         """
         with uninterrupted():
-            self._begin(plan, self._file.create())
+            self._begin(plan)
 
-    def _begin(self, plan: Plan, stream: RawIOBase) -> None:
-        head = FileHead(library=library_name())
-        parts = self._parts(plan)
-        numbered_parts = list(zip(add_parts(head, parts), parts, strict=True))
-        self._channel_ids[LOG_TOPIC] = add_preamble(
-            head,
+    def _begin(self, plan: Plan) -> None:
+        head, parts, self._channel_ids = begin_file(
             plan,
             metadata=self._metadata,
             attachments=self._attachments,
             kinds=self._kinds,
+            topics=self._topics,
         )
-        if self._has_events:
-            self._channel_ids[EVENT_TOPIC] = add_event_channel(head)
-        if self._has_substeps:
-            self._channel_ids[STEP_TOPIC] = add_step_channel(head)
         rotation = self._options.rotation
         if rotation is not None:
             rotation.check(plan.layout.channels, plan.step_ns, len(head.data))
-        try:
-            file = LiveFile(stream, head.data, head.summary(), sync=self._options.sync)
-        except OSError as error:
-            reason = error.strerror or error
-            raise LogError(f"{self.path} cannot be written: {reason}") from error
-        self._store = LogStore(self._file, file, head, plan, numbered_parts, self._options)
-        self._plan = plan
-        self._head_bytes = len(head.data)
+        self._store = LogStore(self._file, plan, head, parts, self._options)
+        self._step_ns = plan.step_ns
         # Last: with a writer the file is completed, and that needs everything above.
         self._writer = BackgroundWriter(
             self._store.add,
@@ -275,15 +197,7 @@ class McapRecorder:
 
         An upper bound without the messages, of any compression; known once the run has begun.
         """
-        parts = self._parts(self._plan)
-        return size_bound(parts, steps, start=self._head_bytes, capacity=self._store.capacity)
-
-    def _parts(self, plan: Plan) -> list[Part]:
-        parts = []
-        for channel in plan.layout.channels:
-            kind = self._kinds.get(channel.name, "")
-            parts += split_channel(channel, kind=kind, step_ns=plan.step_ns)
-        return parts
+        return self._store.size_bound(steps)
 
     def write(self, block: Block, signals: Matrix) -> None:
         """Record rows 1 to K of ``signals``, shape (K+1, width); of the very first block row 0 too.
@@ -299,7 +213,7 @@ class McapRecorder:
             raise LogWriteError(f"{self.path}: expected a time >= 0, got {block.time_ns[0]} ns")
         is_first = not self._file.published
         if is_first:
-            first = Grid(int(block.time_ns[0]), self._plan.step_ns)
+            first = Grid(int(block.time_ns[0]), self._step_ns)
             start_ns = first.stamp(-block.index)
             with uninterrupted():
                 self._store.begin(start_ns)
@@ -321,12 +235,10 @@ class McapRecorder:
 
     def event(self, event: SignalEvent) -> None:
         """Record a jump of a signal."""
-        assert self._has_events
         self._write_message(EVENT_TOPIC, event.time_ns, encode_event(event))
 
     def substep(self, substep: Substep) -> None:
         """Record a substep of a loop."""
-        assert self._has_substeps
         self._write_message(STEP_TOPIC, substep.begin_ns, encode_substep(substep))
 
     def _write_message(self, topic: str, time_ns: int, data: bytes) -> None:
@@ -349,14 +261,6 @@ class McapRecorder:
         """
         self._result.update(values)
 
-    def _complete(self, writer: BackgroundWriter, end: EndOfRun) -> None:
-        """Write the rest and the end of the file."""
-        try:
-            rest = writer.close()
-            self._store.finish(rest, end, self._result)
-        except OSError as error:
-            self._fail(error)
-
     def _fail(self, error: OSError) -> None:
         """Close the file with what it holds; where even that fails it is left as it is, whole.
 
@@ -367,15 +271,9 @@ class McapRecorder:
         """
         self._writer = None  # whatever happens now, nothing more is written after the end
         reason = error.strerror or str(error)
-        end = EndOfRun("failed", f"the log could not be written further: {reason}")
         self._result.pop("last", None)  # of rows that are not in the file
-        try:
-            self._store.close(end, self._result)
-        except OSError:
-            self._store.abandon()
-        self._store.discard()
+        self._store.fail(reason, self._result)
         text = f"{self._store.path} cannot be written further: {reason}"
         if error.errno not in _GONE:
-            end_ns = self._store.last_row.end_ns
-            text += f"; the log is valid up to t = {end_ns / NANOSECONDS} s"
+            text += f"; the log is valid up to t = {self._store.end_ns / NANOSECONDS} s"
         raise LogWriteError(text) from error

@@ -18,12 +18,11 @@ from cosim.core.recorded.run import SCENARIO_FILE
 from cosim.errors import LogError
 from cosim.instants import NANOSECONDS, Grid
 from cosim.log.container import Container
-from cosim.log.files import log_path
+from cosim.log.files import UnfinishedLog, log_path
 from cosim.log.pieces import LogPieces, gathered, write_log
 from cosim.log.places import MALFORMED
 from cosim.log.preamble import PARTIAL_STATUS, RESULT, ResultItems
 from cosim.log.reader import Log
-from cosim.log.unfinished import UnfinishedLog
 
 
 @dataclass(frozen=True, slots=True)

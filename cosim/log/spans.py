@@ -21,13 +21,12 @@ from cosim.errors import LogError, UsageError
 from cosim.instants import NANOSECONDS
 from cosim.log.chunks import MessageBatch
 from cosim.log.container import Container
-from cosim.log.files import OwnFile, part_paths
+from cosim.log.files import OwnFile, UnfinishedLog, part_paths
 from cosim.log.layout import Part
 from cosim.log.metadata import WRITTEN
 from cosim.log.pieces import LogPieces, gathered, write_log
 from cosim.log.preamble import PARTIAL_STATUS, ResultItems
 from cosim.log.reader import Log, open_log
-from cosim.log.unfinished import UnfinishedLog
 from cosim.temporary import TemporaryFolder
 
 

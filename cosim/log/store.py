@@ -17,7 +17,7 @@ import hashlib
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeAlias, final
@@ -31,7 +31,7 @@ from cosim.core.recording import Plan
 from cosim.core.signals import Layout
 from cosim.errors import CosimError, LogError, flag
 from cosim.instants import Grid
-from cosim.log.background import RunContent, RunRows, WaitingMessage, joined
+from cosim.log.background import RunContent, WaitingMessage, joined
 from cosim.log.chunks import (
     CHUNK_BYTES,
     Compression,
@@ -40,29 +40,43 @@ from cosim.log.chunks import (
     one_chunk,
     separate_chunks,
 )
-from cosim.log.files import Rotation, further_parts, part_path
-from cosim.log.layout import Part, Records, blank_records, group_columns, record_dtype, signals_json
+from cosim.log.files import (
+    Rotation,
+    UnfinishedLog,
+    check_not_written,
+    further_parts,
+    part_path,
+    refused,
+)
+from cosim.log.layout import Part, Records, blank_records, fill_values, record_dtype, signals_json
 from cosim.log.live_file import LiveFile
-from cosim.log.mcap_records import HEADER, FileHead, RecordGroup
+from cosim.log.mcap_records import HEADER, FileHead, RecordGroup, joined_groups
 from cosim.log.metadata import combine_hashes, hash_input
 from cosim.log.preamble import (
     PART_REASON,
+    PARTIAL,
     PARTIAL_STATUS,
-    LastRow,
     ResultItems,
     end_group,
-    part_items,
-    result_items,
-    with_whole,
+    result_record,
+    span_text,
 )
 from cosim.log.reader import open_log
-from cosim.log.unfinished import UnfinishedLog, check_not_written
 
 _CHANNEL_BYTES = 2**21  # of a channel in a flush, as long as there are few
 _LARGEST_FLUSH = 2**23  # bytes of records
 _BUFFER_BYTES = 2**22  # of rows, where long periods leave few of them in a chunk
 _DOUBLE_BYTES = 8
 _SEQUENCE_MASK = 0xFFFFFFFF  # MCAP's sequence has 32 bits
+
+_CHUNK: Final = 256  # bytes of a chunk beside its records, with its entry in the summary; 194
+_CHUNK_CHANNEL: Final = 25  # bytes a chunk has for each channel: 15 in its index, 10 in the summary
+_PADDING: Final = 16  # bytes before the header of a chunk that would cross a page; 9
+_INDEX_ENTRY: Final = 16  # bytes that the index has for each message
+_EXPANSION: Final = 255  # a compression makes a chunk longer by one part of this, at most
+_END: Final = 8192  # bytes of the result and the records that close the file
+_VALUE: Final = 64  # bytes of a value in the result, beside its name
+_ESCAPED: Final = 6  # bytes of a character of a name in JSON
 
 _MESSAGE = struct.Struct("<BQHIQQ")  # a message record up to its data
 
@@ -76,15 +90,22 @@ class MessageEncoder:
     Parameters
     ----------
     layout : Layout
-    parts : sequence of (int, Part)
-        MCAP channel ids with what they hold.
+    parts : mapping of channel id to Part
+
+    Attributes
+    ----------
+    row_bytes : float
+        Of the records of a row, on average.
+    capacity : int
+        Rows of a flush.
     """
 
-    def __init__(self, layout: Layout, parts: Sequence[tuple[int, Part]]) -> None:
+    def __init__(self, layout: Layout, parts: Mapping[int, Part]) -> None:
         self._layout = layout
-        self._parts = parts
+        self.parts = parts
         self._blank: dict[int, Records] = {}  # by channel id, filled again every time
-        self.row_bytes = _row_bytes([part for _, part in parts])
+        sizes = [record_dtype(own.size).itemsize / own.channel.period for own in parts.values()]
+        self.row_bytes = sum(sizes)
         self.capacity = _capacity(layout, len(parts), self.row_bytes)
 
     def batches(self, content: RunContent, grid: Grid) -> list[MessageBatch]:
@@ -98,11 +119,11 @@ class MessageEncoder:
         grid : Grid
             The communication points: the sequence of messages that are not rows.
         """
-        selected = self._selected(content.rows)
+        selected = self._selected(content)
         batches = []
-        for channel_id, part in self._parts:
+        for channel_id, part in self.parts.items():
             rows = selected[part.channel.period]
-            batch = self._batch(channel_id, part, content.rows, rows)
+            batch = self._batch(channel_id, part, content, rows)
             if len(batch.time_ns):
                 batches.append(batch)
         messages: dict[int, list[WaitingMessage]] = {}
@@ -113,7 +134,7 @@ class MessageEncoder:
         return batches
 
     def _batch(
-        self, channel_id: int, part: Part, rows: RunRows, selected: RowSelection
+        self, channel_id: int, part: Part, rows: RunContent, selected: RowSelection
     ) -> MessageBatch:
         time_ns = rows.time_ns[selected]
         records = self._records(channel_id, part.size, len(time_ns))
@@ -121,11 +142,8 @@ class MessageEncoder:
         unsigned_ns = time_ns.view(np.uint64)  # else numpy would convert each
         records["log_time"] = unsigned_ns
         records["publish_time"] = unsigned_ns
-        part_start = part.channel.start + part.columns.start
-        for group, columns in group_columns(part.size).items():
-            start = part_start + columns.start
-            stop = part_start + columns.stop
-            records[group]["value"] = rows.values[selected, start:stop]
+        start = part.channel.start + part.columns.start
+        fill_values(records, rows.values[selected, start : start + part.size])
         offsets = np.arange(0, records.nbytes, records.itemsize)
         return MessageBatch(channel_id, records.view(np.uint8).data, time_ns, offsets)
 
@@ -137,7 +155,7 @@ class MessageEncoder:
             self._blank[channel_id] = blank
         return blank[:count]
 
-    def hash_into(self, hashes: dict[str, hashlib._Hash], rows: RunRows) -> None:
+    def hash_into(self, hashes: dict[str, hashlib._Hash], rows: RunContent) -> None:
         """Add rows to the content hashes of their components."""
         selected = self._selected(rows)
         for channel in self._layout.channels:
@@ -145,21 +163,13 @@ class MessageEncoder:
             values = rows.values[own, channel.columns]
             hashes[channel.name].update(hash_input(rows.time_ns[own], values))
 
-    def _selected(self, rows: RunRows) -> dict[int, RowSelection]:
+    def _selected(self, rows: RunContent) -> dict[int, RowSelection]:
         """Return for each period the rows that components of that period record."""
         selected: dict[int, RowSelection] = {}
         for period in {channel.period for channel in self._layout.channels}:
             every = slice(len(rows.steps))
             selected[period] = every if period == 1 else np.flatnonzero(rows.steps % period == 0)
         return selected
-
-
-def _row_bytes(parts: Sequence[Part]) -> float:
-    """Return how many bytes of records a row has, on average."""
-    total = 0.0
-    for part in parts:
-        total += record_dtype(part.size).itemsize / part.channel.period
-    return total
 
 
 def _capacity(layout: Layout, channels: int, row_bytes: float) -> int:
@@ -204,7 +214,6 @@ class LogOptions:
     """How the log of a run is written; see :class:`cosim.log.McapRecorder`."""
 
     compression: Compression = "zstd"
-    force: bool = False
     sync: bool = False
     rotation: Rotation | None = None
 
@@ -217,22 +226,23 @@ class LogStore:
     ----------
     place : UnfinishedLog
         Of the first file, which is created.
-    file : LiveFile
+    plan : Plan
     head : FileHead
         What every file begins with.
-    plan : Plan
-    parts : sequence of (int, Part)
-        MCAP channel ids with what they hold.
+    parts : mapping of channel id to Part
     options : LogOptions
 
     Attributes
     ----------
     last_place : UnfinishedLog
         Of the last file that is at its path, or will be.
-    last_row : LastRow
+    steps, end_ns : int
+        Of the last row.
 
     Raises
     ------
+    LogError
+        If the file cannot be created.
     OSError
         From every method that writes; what was written before stays whole.
     """
@@ -240,16 +250,14 @@ class LogStore:
     def __init__(
         self,
         place: UnfinishedLog,
-        file: LiveFile,
-        head: FileHead,
         plan: Plan,
-        parts: Sequence[tuple[int, Part]],
+        head: FileHead,
+        parts: Mapping[int, Part],
         options: LogOptions,
     ) -> None:
         self._first_place = place
         self._place = place
         self.last_place = place
-        self._file = file
         self._head = head
         self._plan = plan
         self._options = options
@@ -260,11 +268,18 @@ class LogStore:
         self._number = 1  # of the file
         self._first_ns: int | None = None  # of the rows of the file
         self._next_ns: int | None = None  # at which rows belong to a next file
-        self._workers = Workers()
         self._start_ns = 0
         self._tail: list[RunContent] = []  # what the file has in its tail
         self._tail_bytes = 0.0
-        self.last_row = LastRow()
+        self.steps = 0
+        self.end_ns = 0
+        self._file = self._new_file(place)
+        self._workers = Workers()
+
+    def _new_file(self, place: UnfinishedLog) -> LiveFile:
+        stream = place.create()
+        with refused(f"{place.path} cannot be written"):
+            return LiveFile(stream, self._head.data, self._head.summary(), sync=self._options.sync)
 
     @property
     def capacity(self) -> int:
@@ -275,6 +290,30 @@ class LogStore:
     def path(self) -> Path:
         """Where the file is that is written."""
         return self._place.path
+
+    def size_bound(self, steps: int) -> int:
+        """Return how large the log of a run can become, without its messages [bytes].
+
+        It is an upper bound for every compression, however often the file is flushed.
+        """
+        parts = self._encoder.parts.values()
+        rows = steps + 1
+        records = 0
+        for part in parts:
+            messages = steps // part.channel.period + 1
+            records += messages * (record_dtype(part.size).itemsize + _INDEX_ENTRY)
+        values = 0  # the last ones, in the result
+        for channel in self._plan.layout.channels:
+            for signal in channel.signals:
+                name = len(channel.name) + len(signal.name)
+                values += signal.size * (_VALUE + _ESCAPED * name)
+        # A flush of few rows is joined by others until they make half a chunk, or by a full one.
+        flushes = 2 * (rows // self.capacity + records // (CHUNK_BYTES // 2)) + 2
+        overhead = flushes * (_PADDING + len(parts) * (_CHUNK + _CHUNK_CHANNEL))
+        overhead += records // CHUNK_BYTES * _CHUNK
+        # Twice the head: the summary repeats its schemas and channels.
+        head = 2 * len(self._head.data)
+        return records + records // _EXPANSION + overhead + head + values + _END
 
     def begin(self, start_ns: int) -> None:
         """Take the time of the first row, and publish the first file."""
@@ -296,7 +335,7 @@ class LogStore:
         place = self._first_place
         if place.published:
             return
-        replaced = replaced_parts(place.path) if self._options.force else []
+        replaced = replaced_parts(place.path) if place.force else []
         place.publish()
         for path in replaced:
             with suppress(OSError):  # the next file of this log cannot get its name then
@@ -311,52 +350,56 @@ class LogStore:
     def finish(self, last: RunContent | None, end: EndOfRun, values: Mapping[str, Any]) -> None:
         """Write the last flush, the result and the end of the file."""
         if last is not None and not last.is_empty:
-            if self._options.rotation is not None:
-                self.add(last)
-            else:
-                size = self._tail_bytes + self._size(last)
-                self._write(last, is_separate=size >= CHUNK_BYTES / 2)
+            for part in self._by_file(last):  # also where the file is no longer at its path
+                self._add(part)
         self.close(end, values)
 
     def close(self, end: EndOfRun, values: Mapping[str, Any]) -> None:
         """Write the result and the end of the file."""
         self._keep_tail()
-        whole = result_items(end, self.last_row, content_hash=self._content_hash(self._hashes[0]))
+        whole = self._end(end.status, end.reason, self._hashes[0])
         group = end_group(whole, values)
         if self._number > 1:
-            group = with_whole(end_group(self._part_items(whole), values), whole)
+            of_part = end_group(self._end_of_part(), values)
+            group = joined_groups([result_record(PARTIAL, whole), of_part])
         self._file.commit(group)
         self._file.close()
         self._workers.close()
 
-    def abandon(self) -> None:
-        """Close the file as it is."""
-        self._file.abandon()
-        self._workers.close()
+    def fail(self, reason: str, values: Mapping[str, Any]) -> None:
+        """Close the file with what it holds; where even that fails it is left as it is, whole."""
+        end = EndOfRun("failed", f"the log could not be written further: {reason}")
+        try:
+            self.close(end, values)
+        except OSError:
+            self._file.abandon()
+            self._workers.close()
+        self._place.discard()  # a next file that has not got its name
 
     # --- several files ---
 
     def _by_file(self, content: RunContent) -> Iterator[RunContent]:
         """Yield a content as it belongs to files; begin a next one before what belongs there."""
         rotation = self._options.rotation
-        while self._next_ns is not None and content.reaches(self._next_ns):
-            early, content = content.split(self._next_ns)
-            if not early.is_empty:
-                yield early
-            if self._first_ns is not None:
-                self._go_on()
-            assert rotation is not None
-            assert rotation.span_ns is not None
-            self._next_ns += rotation.span_ns
-        if rotation is None or rotation.size is None:
+        if rotation is None:
             yield content
-            return
-        rows = max(int(rotation.size / _PIECES / max(self._encoder.row_bytes, 1.0)), 1)
-        for piece in content.pieces(rows):
-            is_large = self._first_ns is not None and self._file.size >= rotation.size
-            if is_large and len(piece.rows.steps):
-                self._go_on()
-            yield piece
+        elif rotation.span_ns is not None:
+            assert self._next_ns is not None
+            while len(content.steps) and content.time_ns[-1] >= self._next_ns:
+                early, content = content.split(self._next_ns)
+                if not early.is_empty:
+                    yield early
+                if self._first_ns is not None:
+                    self._go_on()
+                self._next_ns += rotation.span_ns
+            yield content
+        elif rotation.size is not None:
+            rows = max(int(rotation.size / _PIECES / max(self._encoder.row_bytes, 1.0)), 1)
+            for piece in content.pieces(rows):
+                is_large = self._first_ns is not None and self._file.size >= rotation.size
+                if is_large and len(piece.steps):
+                    self._go_on()
+                yield piece
 
     def _go_on(self) -> None:
         """Close the file as a part of the log, and begin the next one, under its path at once."""
@@ -364,11 +407,9 @@ class LogStore:
         path = part_path(self._first_place.path, self._number + 1)
         following = UnfinishedLog(path, force=False)
         try:
-            stream = following.create()
-            summary = self._head.summary()
-            file = LiveFile(stream, self._head.data, summary, sync=self._options.sync)
+            file = self._new_file(following)
             self._keep_tail()
-            self._file.commit(end_group(self._part_items(asdict(self.last_row)), {}))
+            self._file.commit(end_group(self._end_of_part(), {}))
             self._file.close()
         except (LogError, OSError) as error:
             following.discard()
@@ -384,14 +425,24 @@ class LogStore:
             raise _as_os_error(error) from error
         self.last_place = following
 
-    def _part_items(self, last_row: Mapping[str, Any]) -> ResultItems:
+    def _end_of_part(self) -> ResultItems:
         """Return what is recorded of the end of the file as one of several."""
-        own_hash = self._content_hash(self._hashes[-1])
-        return part_items(self._number, self._first_ns, last_row, own_hash)
+        where = "without rows" if self._first_ns is None else span_text(self._first_ns, self.end_ns)
+        reason = f"{PART_REASON}{self._number} of its log, {where}"
+        return self._end(PARTIAL_STATUS, reason, self._hashes[-1])
 
-    def discard(self) -> None:
-        """Remove the file that is written if it was not published."""
-        self._place.discard()
+    def _end(self, status: str, reason: str, hashes: Mapping[str, hashlib._Hash]) -> ResultItems:
+        components = []
+        for channel in self._plan.layout.channels:
+            declaration = signals_json(channel.interface)
+            components.append((channel.name, declaration, hashes[channel.name].hexdigest()))
+        return {
+            "status": status,
+            "reason": reason,
+            "steps": self.steps,
+            "end_ns": self.end_ns,
+            "content_hash": combine_hashes(components),
+        }
 
     # --- one file ---
 
@@ -408,29 +459,26 @@ class LogStore:
         else:
             content = joined([content])  # a copy, to be kept
         is_full = is_large or self._tail_bytes + size >= CHUNK_BYTES
-        self._write(content, is_separate=is_full)
+        whole = joined([*self._tail, content]) if self._tail else content
+        hashing = self._workers.start(partial(self._hashed, content)) if is_full else None
+        try:
+            group = self._group(whole, is_separate=is_full)
+            if group.entries:  # no component may have a row in the steps of a flush
+                self._file.replace_tail(group)
+        finally:
+            hashes = self._hashed(content) if hashing is None else hashing.result()
+        # Before anything else may fail: the file has these rows now.
+        self._hashes = hashes
+        if len(content.steps):
+            if self._first_ns is None:
+                self._first_ns = int(content.time_ns[0])
+            self.steps = int(content.steps[-1])
+            self.end_ns = int(content.time_ns[-1])
         if is_full:
             self._keep_tail()
         else:
             self._tail.append(content)
             self._tail_bytes += size
-
-    def _write(self, content: RunContent, *, is_separate: bool) -> None:
-        """Write the tail again, with a content behind it."""
-        whole = joined([*self._tail, content]) if self._tail else content
-        hashing = self._workers.start(partial(self._hashed, content.rows)) if is_separate else None
-        try:
-            group = self._group(whole, is_separate=is_separate)
-            if group.entries:  # no component may have a row in the steps of a flush
-                self._file.replace_tail(group)
-        finally:
-            hashes = self._hashed(content.rows) if hashing is None else hashing.result()
-        # Before anything else may fail: the file has these rows now.
-        self._hashes = hashes
-        if len(content.rows.steps):
-            if self._first_ns is None:
-                self._first_ns = int(content.rows.time_ns[0])
-            self.last_row = LastRow(int(content.rows.steps[-1]), int(content.rows.time_ns[-1]))
 
     def _keep_tail(self) -> None:
         self._file.keep_tail()
@@ -439,7 +487,7 @@ class LogStore:
 
     def _size(self, content: RunContent) -> float:
         """Return how many bytes of records a content has, about."""
-        size = len(content.rows.steps) * self._encoder.row_bytes
+        size = len(content.steps) * self._encoder.row_bytes
         return size + sum(len(message.data) for message in content.messages)
 
     def _group(self, content: RunContent, *, is_separate: bool) -> RecordGroup:
@@ -457,7 +505,7 @@ class LogStore:
     def _new_hashes(self) -> dict[str, hashlib._Hash]:
         return {channel.name: hashlib.sha256() for channel in self._plan.layout.channels}
 
-    def _hashed(self, rows: RunRows) -> tuple[dict[str, hashlib._Hash], ...]:
+    def _hashed(self, rows: RunContent) -> tuple[dict[str, hashlib._Hash], ...]:
         """Return the hashes with further rows."""
         result = []
         for hashes in self._hashes:
@@ -465,13 +513,6 @@ class LogStore:
             self._encoder.hash_into(copied, rows)
             result.append(copied)
         return tuple(result)
-
-    def _content_hash(self, hashes: Mapping[str, hashlib._Hash]) -> str:
-        components = []
-        for channel in self._plan.layout.channels:
-            declaration = signals_json(channel.interface)
-            components.append((channel.name, declaration, hashes[channel.name].hexdigest()))
-        return combine_hashes(components)
 
 
 def _as_os_error(error: LogError | OSError) -> OSError:
@@ -498,18 +539,21 @@ def replaced_parts(first: Path) -> list[Path]:
     return paths
 
 
-def check_no_parts(first: Path, *, force: bool) -> None:
-    """Check that there are no further files beside the path of a new log, or that they may go.
+def check_place(place: UnfinishedLog) -> None:
+    """Check that a log can be written to a place, and that no parts of another one stay beside it.
 
     Raises
     ------
     LogError
-        If there are some and they shall stay, or if they are not parts of a log.
+        If not; see :meth:`UnfinishedLog.check_free`.
     """
-    parts = replaced_parts(first) if force else further_parts(first)
-    if parts and not force:
+    place.check_free()
+    if place.numbered:
+        return
+    parts = replaced_parts(place.path) if place.force else further_parts(place.path)
+    if parts and not place.force:
         raise LogError(
-            f"{parts[0]} exists, named like a part of an earlier log {first}; choose another "
+            f"{parts[0]} exists, named like a part of an earlier log {place.path}; choose another "
             f"path, or {flag('force')} to replace that log with its parts"
         )
 

@@ -13,8 +13,8 @@ from itertools import groupby
 from typing import Any, Final
 
 from cosim.core.recorded.signals import RecordedPort, find_signal
-from cosim.core.signals import Channel, Signal
-from cosim.log.schema import message_paths
+from cosim.core.signals import Channel, Signal, element_names
+from cosim.log.messages import message_paths
 from cosim.units import with_unit
 
 LAYOUT_FILE: Final = "viewer-layout.json"
@@ -44,12 +44,20 @@ class ViewerPanel:
 def layout_json(panels: Sequence[ViewerPanel]) -> bytes:
     """Return the layout that shows the first panels, at most ``MOST_PANELS``."""
     configs = {}
-    paths: dict[str, list[str]] = {}  # of components, each once: one may have thousands
+    # Path and name of every element of a component, each once: one may have thousands.
+    elements: dict[str, list[tuple[str, str]]] = {}
     for number, panel in enumerate(panels[:MOST_PANELS], start=1):
+        curves = []
         for port in panel.signals:
             name = port.channel.name
-            paths[name] = paths.get(name) or message_paths(port.channel)
-        configs[f"Plot!{number}"] = _panel_config(panel, paths)
+            if name not in elements:
+                names = element_names(port.channel.signals)
+                elements[name] = list(zip(message_paths(port.channel), names, strict=True))
+            own = elements[name][port.columns]
+            for (path, element), unit in zip(own, port.measures, strict=True):
+                curves.append(_curve(path, with_unit(f"{name}.{element}", unit.name)))
+        curves += [_curve(repr(level), repr(level)) for level in panel.levels]
+        configs[f"Plot!{number}"] = _panel_config(panel, curves)
     content: dict[str, Any] = {
         "configById": configs,
         "globalVariables": {},
@@ -113,15 +121,7 @@ def _divided(ports: Iterable[RecordedPort]) -> list[tuple[RecordedPort, ...]]:
     return [tuple(part) for part in parts]
 
 
-def _panel_config(panel: ViewerPanel, paths: Mapping[str, Sequence[str]]) -> dict[str, Any]:
-    """Return the configuration of a panel; ``paths`` are those of the elements by component."""
-    curves = []
-    for port in panel.signals:
-        own_paths = paths[port.channel.name][port.columns]
-        for path, label in zip(own_paths, _labels(port), strict=True):
-            curves.append(_curve(path, label))
-    for level in panel.levels:
-        curves.append(_curve(repr(level), repr(level)))
+def _panel_config(panel: ViewerPanel, curves: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     units = {unit.name for port in panel.signals for unit in port.measures}
     unit = units.pop() if len(units) == 1 else None
     return {
@@ -143,23 +143,6 @@ def _panel_config(panel: ViewerPanel, paths: Mapping[str, Sequence[str]]) -> dic
 
 def _curve(value: str, label: str) -> dict[str, Any]:
     return {"value": value, "label": label, "enabled": True, "timestampMethod": "receiveTime"}
-
-
-def _labels(port: RecordedPort) -> list[str]:
-    """Return the elements' own names with their unit: ``plant.x_a[0] [m]``."""
-    name = port.channel.name
-    first = _first_column(port)
-    elements = port.signal.elements[port.columns.start - first : port.columns.stop - first]
-    labels = []
-    for element, unit in zip(elements, port.measures, strict=True):
-        labels.append(with_unit(f"{name}.{element}", unit.name))
-    return labels
-
-
-def _first_column(port: RecordedPort) -> int:
-    """Return where the signal begins in the rows of its component."""
-    start: int = port.channel.signal_columns[port.signal.name].start
-    return start - port.channel.start
 
 
 def _grid(names: Sequence[str]) -> Any:

@@ -18,9 +18,9 @@ import numpy as np
 from cosim.core.recorders import EndOfRun
 from cosim.core.recording import Plan
 from cosim.core.signals import Channel, Interface, Layout, Signal
-from cosim.log.background import RunContent, RunRows
+from cosim.log.background import RunContent
 from cosim.log.store import LogStore
-from tests.log.writing.direct import open_store
+from tests.log.direct import open_store
 
 DAY = 86_400  # s
 RATE = 10  # rows a second
@@ -43,7 +43,7 @@ def rows(start: int, stop: int) -> RunContent:
     steps = np.arange(start, stop)
     noise = np.random.default_rng(start).normal(size=(stop - start, COMPONENTS * SIZE))
     values = np.sin(steps[:, None] * 1e-3 * np.arange(1, COMPONENTS * SIZE + 1)) + 1e-9 * noise
-    return RunContent(RunRows(steps, steps * (10**9 // RATE), values))
+    return RunContent(steps, steps * (10**9 // RATE), values)
 
 
 def write(path: Path, seconds: int, *, per_flush: int) -> list[float]:

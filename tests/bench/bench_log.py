@@ -29,7 +29,7 @@ from cosim.core.contracts import Block
 from cosim.core.recording import Plan
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.log import McapRecorder, open_log
-from cosim.log.schema import component_schema
+from cosim.log.messages import component_schema
 
 STEPS = 133_333
 PART = 10  # the slow writer takes a tenth of the messages

@@ -8,8 +8,8 @@ import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from cosim.log.checksum import CHECKSUM, add_checksum
-from cosim.log.layout import copy_values, record_dtype
+from cosim.log.layout import copy_columns, record_dtype
+from cosim.log.metadata import CHECKSUM, add_checksum
 
 
 @dataclass
@@ -79,7 +79,7 @@ def change_rows(content, component, change):
             record = np.zeros(1, record_dtype(size))
             record.view("u1")[-len(data) :] = np.frombuffer(data, "u1")
             values = np.empty((1, size))
-            copy_values(record, values)
+            copy_columns(record, values, size=size, columns=slice(0, size))
             change(count, values[0])
             record["short"]["value"] = values
             data = record.tobytes()[-len(data) :]

@@ -24,7 +24,7 @@ from cosim.log import open_log
 from cosim.log.metadata import hash_input
 from cosim.scenario.document.document import shipped
 from tests.log.decoding import message_class
-from tests.log.mcap_file.killed import Job, killed_run, whole_run
+from tests.log.killed import Job, killed_run, whole_run
 from tests.log.recordings import STEP_NS, same_bits
 
 pytestmark = pytest.mark.external

@@ -29,10 +29,9 @@ from cosim.files import file_type
 from cosim.interrupts import REASONS
 from cosim.log import Log, McapRecorder
 from cosim.log.background import FLUSH_INTERVAL
-from cosim.log.files import Rotation, log_path
+from cosim.log.files import Rotation, UnfinishedLog, log_path
 from cosim.log.preamble import PARTIAL_STATUS
-from cosim.log.store import check_no_parts
-from cosim.log.unfinished import UnfinishedLog
+from cosim.log.store import check_place
 from cosim.native.fmi.process import report_log
 from cosim.scenario.building.build import Builder
 from cosim.scenario.building.coupling import with_loop_gains
@@ -115,9 +114,7 @@ def check_target(out: str | Path | None, *, force: bool = False, numbered: bool 
     path = log_path(out)
     if file_type(path) != "log":
         raise UsageError(f"{out}: expected a path that ends in .mcap")
-    UnfinishedLog(path, force=force, numbered=numbered).check_free()
-    if not numbered:
-        check_no_parts(path, force=force)
+    check_place(UnfinishedLog(path, force=force, numbered=numbered))
 
 
 def build_experiment(

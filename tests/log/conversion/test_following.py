@@ -11,10 +11,9 @@ import pytest
 
 from cosim.errors import LogError
 from cosim.log import McapRecorder, open_log
-from cosim.log.files import Rotation
+from cosim.log.files import Rotation, UnfinishedLog
 from cosim.log.following import FollowedLog
 from cosim.log.text import choose, csv_text
-from cosim.log.unfinished import UnfinishedLog
 from tests.log.recordings import STEP_NS, blocks, layout, plan, record, same_bits, table
 
 STEPS = 600

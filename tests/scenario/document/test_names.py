@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 import cosim
 from cosim.cli import main
 from cosim.errors import ScenarioError
-from cosim.log.schema import identifiers
+from cosim.log.messages import identifiers
 from cosim.scenario.document.document import find
 from cosim.scenario.document.schema import RESERVED
 from cosim.scenario.exporting import model_identifier

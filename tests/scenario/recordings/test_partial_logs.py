@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 
 import cosim
 from cosim.errors import LogError, ScenarioError, UnknownSignalError
-from cosim.log.checksum import add_checksum
+from cosim.log.metadata import add_checksum
 from cosim.log.spans import cut, merge
 from cosim.report.summary import summarize
 from tests.log.crafting import put_together, take_apart, without_checksum

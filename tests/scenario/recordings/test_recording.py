@@ -11,7 +11,7 @@ from cosim.interrupts import REASONS
 from cosim.log.viewer_layout import LAYOUT_FILE
 from cosim.scenario.document.document import shipped
 from cosim.scenario.recordings.recording import interruptible
-from tests.log.contents.viewing import curves, decoded, leaves, parsed
+from tests.log.viewing import curves, decoded, leaves, parsed
 
 SETTINGS = {"scenario.stop": 0.02}
 

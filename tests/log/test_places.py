@@ -5,9 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import shutil
-import signal
-import subprocess
-import sys
 import time
 from contextlib import suppress
 from itertools import product
@@ -15,9 +12,17 @@ from itertools import product
 import numpy as np
 import pytest
 
+import cosim
 from cosim.core.signals import Channel, Interface, Layout, Signal
-from cosim.errors import GraphError, Interrupted, LogError, LogWriteError, NonFiniteError
-from cosim.log import McapRecorder, container, open_log, recorder, unfinished
+from cosim.errors import (
+    CosimError,
+    GraphError,
+    Interrupted,
+    LogError,
+    LogWriteError,
+    NonFiniteError,
+)
+from cosim.log import McapRecorder, container, files, open_log, recorder
 from tests.log.disks import FullDisk
 from tests.log.recordings import (
     STEP_NS,
@@ -73,29 +78,24 @@ def test_a_run_refused_before_its_first_row_leaves_no_trace(path, force, subtest
             assert untouched(path, force)
 
 
-def test_a_run_that_failed_at_its_start_leaves_a_log(tmp_path, path, force, subtests):
-    """It has no rows, and the stop reason."""
-    for error in (NonFiniteError("y became nan"), LogWriteError("negative"), Interrupted("Ctrl-C")):
+def test_a_run_without_rows_leaves_a_log(tmp_path, path, force, subtests):
+    """Of no time, or failed at its start; then with the stop reason."""
+    for error, status in [
+        (None, "complete"),
+        (NonFiniteError("y became nan"), "failed"),
+        (LogWriteError("negative"), "failed"),
+        (Interrupted("Ctrl-C"), "interrupted"),
+    ]:
         with subtests.test(case=error):
-            with pytest.raises(type(error)):
+            with suppress(NonFiniteError, LogWriteError, Interrupted):
                 attempt(path, force, error=error)
             assert list(tmp_path.iterdir()) == [path]
             log = open_log(path)
-            assert log.steps == 0
-            assert len(log.rows("plant")) == 0
-            assert log.results["reason"] == str(error)
+            assert (log.status, log.steps, len(log.rows("plant"))) == (status, 0, 0)
+            assert log.results["reason"] == str(error or "")
         path.unlink()
         if force:
             record(path, steps=10)
-
-
-def test_a_complete_run_without_rows_leaves_a_log(path, force):
-    """A run over no time is a run."""
-    attempt(path, force)
-    assert list(path.parent.iterdir()) == [path]
-    log = open_log(path)
-    assert log.status == "complete"
-    assert len(log.rows("plant")) == 0
 
 
 def test_the_log_stands_at_its_path_from_the_first_row_on(path, force):
@@ -119,15 +119,13 @@ def test_a_file_that_came_meanwhile_is_not_replaced(tmp_path, monkeypatch, linke
     """With and without hard links, at the first row and at the end of a run without any."""
     path = tmp_path / "a.mcap"
     if not linked:
-        monkeypatch.setattr(unfinished.os, "link", no_links)
-
-    run = list(blocks(table(layout(), 10), 10))
+        monkeypatch.setattr(files.os, "link", no_links)
 
     def fail(rows):
         with McapRecorder(path) as recorder:
             recorder.begin(plan())
             path.write_text("mine")
-            for block, signals in run[:rows]:
+            for block, signals in list(blocks(table(layout(), 10), 10))[:rows]:
                 recorder.write(block, signals)
 
     for rows in (0, 1):
@@ -136,19 +134,14 @@ def test_a_file_that_came_meanwhile_is_not_replaced(tmp_path, monkeypatch, linke
         assert path.read_text() == "mine"
         assert list(tmp_path.iterdir()) == [path]
         path.unlink()
+    record(path, steps=20)
+    assert open_log(path).steps == 20
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def no_links(source, target):
     """Fail as on a file system without hard links."""
     raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
-
-
-def test_a_file_system_without_hard_links_will_do(tmp_path, monkeypatch):
-    """The name is reserved and then replaced."""
-    monkeypatch.setattr(unfinished.os, "link", no_links)
-    record(tmp_path / "a.mcap", steps=20)
-    assert open_log(tmp_path / "a.mcap").steps == 20
-    assert list(tmp_path.iterdir()) == [tmp_path / "a.mcap"]
 
 
 def test_a_folder_lost_before_the_first_row_is_an_error(tmp_path):
@@ -169,7 +162,7 @@ def test_a_folder_lost_before_the_first_row_is_an_error(tmp_path):
 
 def test_an_interrupt_in_begin_leaves_no_trace(path, force, monkeypatch, subtests):
     """Wherever it comes."""
-    functions = ("add_parts", "add_preamble", "LiveFile", "BackgroundWriter", "library_name")
+    functions = ("begin_file", "LogStore", "BackgroundWriter")
     for function, error in product(functions, (KeyboardInterrupt(), MemoryError())):
 
         def interrupt(*args, error=error, **kwargs):
@@ -184,18 +177,30 @@ def test_an_interrupt_in_begin_leaves_no_trace(path, force, monkeypatch, subtest
 
 def test_a_disk_full_from_the_start_leaves_the_old_log(path, force, monkeypatch):
     """What cannot even begin replaces nothing."""
-    monkeypatch.setattr(unfinished, "create", lambda path: FullDisk(path, 1))
+    monkeypatch.setattr(files, "create", lambda path: FullDisk(path, 1))
     with pytest.raises(LogError, match=r"a\.mcap cannot be written: No space left"):
         attempt(path, force)
     assert untouched(path, force)
 
 
-def test_a_folder_is_no_path_for_a_log(tmp_path):
-    """It is refused at once, with force too."""
+def test_a_path_that_takes_no_log_is_refused(tmp_path):
+    """A folder, a folder that cannot be made, and an existing log, unless it is to be replaced."""
+    (tmp_path / "text").write_text("")
     for force in (False, True):
         with pytest.raises(LogError, match=r"is a folder; .*/run\.mcap"):
             attempt(tmp_path, force)
-    assert not list(tmp_path.iterdir())
+        with pytest.raises(LogError, match=r"text/a\.mcap cannot be created"):
+            attempt(tmp_path / "text" / "a.mcap", force)
+    assert list(tmp_path.iterdir()) == [tmp_path / "text"]
+    path = tmp_path / "new" / "a.mcap"
+    record(path, steps=10)
+    with pytest.raises(LogError, match=r"a\.mcap exists; .*force=True"):
+        record(path)
+    old = open_log(path)
+    record(path, steps=20, force=True)
+    assert len(open_log(path).rows("plant")) == 21
+    with pytest.raises(LogError, match="has changed since it was opened"):
+        old.rows("plant")
 
 
 def test_a_long_name_leaves_room_for_the_hidden_one(tmp_path):
@@ -205,35 +210,25 @@ def test_a_long_name_leaves_room_for_the_hidden_one(tmp_path):
     assert open_log(path).steps == 5
 
 
-def abandoned(tmp_path, name):
-    """Return the hidden file of a recorder whose process is killed before the first row."""
-    code = (
-        "import os, signal, sys\n"
-        "from tests.log.recordings import McapRecorder, plan\n"
-        "recorder = McapRecorder(sys.argv[1])\n"
-        "recorder.begin(plan())\n"
-        "os.kill(os.getpid(), signal.SIGKILL)\n"
-    )
-    path = tmp_path / name
-    process = subprocess.run([sys.executable, "-c", code, str(path)], check=False)
-    assert process.returncode == -signal.SIGKILL
-    (hidden,) = tmp_path.glob(f".{name}.*.part")
-    return hidden
-
-
-@pytest.mark.slow
 def test_the_next_run_removes_what_a_killed_one_left(tmp_path):
     """Its hidden file, but not that of another log, nor of a run that goes on."""
-    hidden = abandoned(tmp_path, "a.mcap")
-    other = abandoned(tmp_path, "b.mcap")
+    left = []
+    for name in ("a.mcap", "b.mcap"):
+        (folder := tmp_path / "other").mkdir(exist_ok=True)
+        with suppress(KeyboardInterrupt), McapRecorder(folder / name) as recorder:
+            recorder.begin(plan())
+            (hidden,) = folder.glob(f".{name}.*.part")
+            left.append(hidden.rename(tmp_path / hidden.name))  # out of its reach
+            raise KeyboardInterrupt
+    folder.rmdir()
     with McapRecorder(tmp_path / "a.mcap", numbered=True) as recorder:
         recorder.begin(plan())
-        assert not hidden.exists()
-        assert other.exists()
+        assert not left[0].exists()
+        assert left[1].exists()
         with McapRecorder(tmp_path / "a.mcap", numbered=True) as second:
             second.begin(plan())
             assert len(list(tmp_path.glob(".a.mcap.*.part"))) == 2
-    assert {path.name for path in tmp_path.iterdir()} == {"a.mcap", "a-2.mcap", other.name}
+    assert {path.name for path in tmp_path.iterdir()} == {"a.mcap", "a-2.mcap", left[1].name}
 
 
 def test_a_log_that_is_written_is_not_replaced(tmp_path):
@@ -379,3 +374,21 @@ def wait_for_step(path, step):
         assert time.monotonic() < deadline
         with suppress(LogError):  # its rows have moved since it was opened
             last_step = open_log(path).steps
+
+
+def test_wrong_paths_are_refused_by_all_that_takes_one(short_log, subtests):
+    """A name too long, one with a NUL, no text, and half a character: before anything is done."""
+    for bad in ["x" * 260 + ".mcap", "a\0b.mcap", 3, None, b"\xff.mcap", "\udcff\ud800.mcap"]:
+        calls = {
+            "open_log": lambda bad=bad: open_log(bad),
+            "McapRecorder": lambda bad=bad: McapRecorder(bad),
+            "replay": lambda bad=bad: cosim.replay(bad),
+            "diff": lambda bad=bad: cosim.diff(open_log(short_log), bad),
+        }
+        if bad is not None:
+            calls["run"] = lambda bad=bad: cosim.run("academic", out=bad)
+        if isinstance(bad, str):
+            calls["load"] = lambda bad=bad: cosim.load(bad)
+        for name, call in calls.items():
+            with subtests.test(case=(name, bad)), pytest.raises(CosimError):
+                call()

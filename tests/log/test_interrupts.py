@@ -12,10 +12,10 @@ import pytest
 
 import cosim.log
 from cosim.interrupts import uninterrupted
-from cosim.log import McapRecorder, background, open_log, unfinished
+from cosim.log import McapRecorder, background, files, open_log
 from tests.log.recordings import STEP_NS, blocks, layout, make_chunks_small, plan, same_bits, table
 
-BY_BYTECODE = {module.__file__ for module in (background, unfinished)}
+BY_BYTECODE = {module.__file__ for module in (background, files)}
 TRACED = {str(path) for path in Path(cosim.log.__file__).parent.rglob("*.py")}
 TRACED.add(contextlib.__file__)
 SWITCH = {"write", "append", "_room", "_hand_over", "uninterrupted"}

@@ -5,9 +5,11 @@ from __future__ import annotations
 import io
 import json
 import re
-from collections import Counter
+import shutil
+import threading
 from dataclasses import replace
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,9 +17,11 @@ from google.protobuf import json_format
 from mcap.reader import NonSeekingReader, make_reader
 
 import cosim
+from cosim.core.clock import Clock
 from cosim.core.contracts import Stopped
-from cosim.errors import Interrupted, LogError, LogWriteError
-from cosim.log import Attachment, McapRecorder, open_log, unfinished
+from cosim.errors import Interrupted, LogWriteError
+from cosim.log import Attachment, McapRecorder, files, open_log
+from cosim.log.background import BackgroundWriter
 from tests.log.decoding import message_class
 from tests.log.disks import FullDisk
 from tests.log.recordings import (
@@ -25,6 +29,7 @@ from tests.log.recordings import (
     blocks,
     layout,
     make_chunks_small,
+    many,
     plan,
     record,
     same_bits,
@@ -51,57 +56,34 @@ def test_stock_readers_see_every_bit(tmp_path, compression, make):
     assert same_bits(np.array(decoded_rows["/identifier"]), rows[::5, 5:])
 
 
-@pytest.fixture
-def stock_reader(tmp_path):
-    """Record a run with metadata, an attachment and a message; open it with mcap's reader."""
-    scenario = Attachment("scenario.toml", "application/toml", b"[scenario]")
-    metadata = {"cosim.connections": {"plant.u": "u.y"}, "cosim.component.plant": {"m": "1.5"}}
+def test_the_stock_reader_finds_everything_through_the_summary(tmp_path):
+    """Header, schemas, topics, counts, every metadata record once, attachments and messages."""
     record(
         tmp_path / "a.mcap",
-        attachments=[scenario],
-        metadata=metadata,
+        attachments=[Attachment("scenario.toml", "application/toml", b"[scenario]")],
+        metadata={"cosim.connections": {"plant.u": "u.y"}, "cosim.component.plant": {"m": "1.5"}},
         messages=[(0, "info", "plant", "ready")],
     )
-    with (tmp_path / "a.mcap").open("rb") as stream:
-        yield make_reader(stream, validate_crcs=True)
-
-
-def test_stock_reader_sees_header_and_summary(stock_reader):
-    """Everything is found through the summary."""
-    header = stock_reader.get_header()
+    reader = make_reader(io.BytesIO((tmp_path / "a.mcap").read_bytes()), validate_crcs=True)
+    header = reader.get_header()
     assert header.profile == ""
     assert header.library.startswith(f"cosim/{cosim.__version__} mcap-python/")
-    summary = stock_reader.get_summary()
+    summary = reader.get_summary()
     schemas = {schema.name for schema in summary.schemas.values()}
     assert schemas == {"cosim.plant", "cosim.identifier", "foxglove.Log"}
     topics = [channel.topic for channel in summary.channels.values()]
     assert topics == ["/plant", "/identifier", "/cosim/log"]
-    statistics = summary.statistics
-    assert statistics.channel_message_counts == {1: 1001, 2: 201, 3: 1}
-    assert statistics.message_start_time == 0
-    assert statistics.message_end_time == 1000 * STEP_NS
-
-
-def test_stock_reader_sees_metadata_attachments_and_messages(stock_reader):
-    """Every metadata record once."""
-    metadata = list(stock_reader.iter_metadata())
-    assert Counter(item.name for item in metadata) == Counter(
-        [
-            "cosim.run",
-            "cosim.env",
-            "cosim.written",
-            "cosim.schedule",
-            "cosim.connections",
-            "cosim.result",
-            "cosim.component.plant",
-            "cosim.component.identifier",
-        ]
+    assert summary.statistics.channel_message_counts == {1: 1001, 2: 201, 3: 1}
+    records = list(reader.iter_metadata())
+    names = "run env written schedule connections result component.plant component.identifier"
+    assert sorted(item.name for item in records) == sorted(
+        f"cosim.{name}" for name in names.split()
     )
-    by_name = {item.name: item.metadata for item in metadata}
+    by_name = {item.name: item.metadata for item in records}
     assert by_name["cosim.env"]["cosim"] == cosim.__version__
-    attachments = {item.name: item.data for item in stock_reader.iter_attachments()}
+    attachments = {item.name: item.data for item in reader.iter_attachments()}
     assert attachments["scenario.toml"] == b"[scenario]"
-    ((schema, _, message),) = stock_reader.iter_messages(topics="/cosim/log")
+    ((schema, _, message),) = reader.iter_messages(topics="/cosim/log")
     decoded = message_class("foxglove.Log", schema.data).FromString(message.data)
     assert json_format.MessageToDict(decoded) == {
         "timestamp": "1970-01-01T00:00:00Z",
@@ -112,13 +94,14 @@ def test_stock_reader_sees_metadata_attachments_and_messages(stock_reader):
 
 
 def test_the_summary_knows_when_a_late_run_began(tmp_path, monkeypatch):
-    """Its first and its last instant, of all chunks."""
+    """Its first and its last instant, of all chunks; times before 0 are none of MCAP."""
     make_chunks_small(monkeypatch, 700)
-    rows = table(layout(), 40)
     with McapRecorder(tmp_path / "a.mcap") as recorder:
         recorder.begin(plan())
-        for block, signals in blocks(rows, 7):
+        for block, signals in blocks(table(layout(), 40), 7):
             recorder.write(replace(block, time_ns=block.time_ns + 5 * STEP_NS), signals)
+        with pytest.raises(LogWriteError, match=r"a\.mcap: expected a time >= 0, got -1 ns"):
+            recorder.write(replace(block, time_ns=np.array([-1, 0])), signals)
     with (tmp_path / "a.mcap").open("rb") as stream:
         summary = make_reader(stream).get_summary()
     assert len(summary.chunk_indexes) > 3
@@ -150,15 +133,6 @@ def test_content_does_not_depend_on_blocks_chunks_or_compression(tmp_path, monke
         recorded = log.metadata["cosim.result"]["content_hash"], log.results["content_hash"]
         hashes.setdefault(period, set()).update({log.content_hash(), *recorded})
     assert [len(found) for found in hashes.values()] == [1, 1, 1]
-
-
-def test_one_bit_changes_the_content_hash(tmp_path):
-    """Of one value, in one row."""
-    rows = record(tmp_path / "a.mcap", steps=50)
-    before = open_log(tmp_path / "a.mcap").content_hash()
-    rows.view(np.int64)[25, 2] ^= 1
-    record(tmp_path / "b.mcap", rows=rows)
-    assert open_log(tmp_path / "b.mcap").content_hash() != before
 
 
 def test_rows_are_in_the_file_after_the_flush_interval(tmp_path):
@@ -214,7 +188,7 @@ def test_a_full_disk_leaves_a_whole_file(tmp_path, monkeypatch, subtests):
     statuses = set()
     for room in range(12, 36, 3):
         path = tmp_path / f"{room}.mcap"
-        monkeypatch.setattr(unfinished, "create", lambda path, room=room: FullDisk(path, room))
+        monkeypatch.setattr(files, "create", lambda path, room=room: FullDisk(path, room))
         message = (
             rf"{room}\.mcap cannot be written further: No space left on device; .*= ([\d.]+) s"
         )
@@ -235,56 +209,6 @@ def test_a_full_disk_leaves_a_whole_file(tmp_path, monkeypatch, subtests):
                 assert len(list(reader.iter_messages("/plant"))) == count
     # Without room for the end of an ordinary file it stays as it was written.
     assert statuses <= {"failed", "unfinished"}
-
-
-def test_a_disk_full_from_the_start_leaves_nothing(tmp_path, monkeypatch):
-    """A log that cannot even begin is an error before the run."""
-    monkeypatch.setattr(unfinished, "create", lambda path: FullDisk(path, 1))
-    with pytest.raises(LogError, match=r"a\.mcap cannot be written: No space left"):
-        record(tmp_path / "a.mcap")
-    assert not list(tmp_path.iterdir())
-
-
-def test_an_existing_file_needs_force(tmp_path):
-    """Nothing is overwritten unasked; a log that is open stays what it was."""
-    path = tmp_path / "new" / "a.mcap"
-    record(path, steps=10)
-    with pytest.raises(LogError, match=r"a\.mcap exists; .*force=True"):
-        record(path)
-    old = open_log(path)
-    record(path, steps=20, force=True)
-    assert len(open_log(path).rows("plant")) == 21
-    with pytest.raises(LogError, match="has changed since it was opened"):
-        old.rows("plant")
-
-
-def test_a_folder_that_cannot_be_made_is_named(tmp_path):
-    """A file in place of the folder is an error before the run."""
-    (tmp_path / "logs").write_text("")
-    with pytest.raises(LogError, match=r"logs/a\.mcap cannot be created"):
-        record(tmp_path / "logs" / "a.mcap")
-
-
-def test_a_run_that_never_begins_leaves_no_file(tmp_path):
-    """Without a plan nothing can be written."""
-
-    def fail():
-        with McapRecorder(tmp_path / "a.mcap"):
-            raise ValueError("no plan")
-
-    with pytest.raises(ValueError, match="no plan"):
-        fail()
-    assert not (tmp_path / "a.mcap").exists()
-
-
-def test_negative_times_are_refused(tmp_path):
-    """MCAP times are unsigned."""
-    with McapRecorder(tmp_path / "a.mcap") as recorder:
-        recorder.begin(plan())
-        (block, signals), *_ = blocks(table(layout(), 9), 1)
-        block.time_ns[0] = -1
-        with pytest.raises(LogWriteError, match=r"a\.mcap: expected a time >= 0, got -1 ns"):
-            recorder.write(block, signals)
 
 
 def test_the_result_takes_numpy_values(tmp_path):
@@ -313,3 +237,142 @@ def test_messages_before_the_file_are_in_it(tmp_path):
     with recorder:
         recorder.message(0, "warning", "plant", "early")
     assert not (tmp_path / "b.mcap").exists()
+
+
+SHAPES = [(0, 0), (0, 1000), (40, 500), (9000, 10)]  # further elements, steps
+
+
+@pytest.mark.fast("True")
+@pytest.mark.parametrize("flushed", [False, True])
+def test_no_log_is_larger_than_its_bound(tmp_path, monkeypatch, flushed, subtests):
+    """Also with a flush after every step, as of a run with a second of work a step."""
+    if flushed:
+        make_chunks_small(monkeypatch, 2000)
+    for compression, (wide, count) in product(("none", "zstd", "lz4"), SHAPES):
+        steps = min(count, 100) if flushed else count
+        path = tmp_path / f"{compression} {wide} {steps}.mcap"
+        lay = layout(wide=wide)
+        flush = 0.0 if flushed else 1.0
+        with McapRecorder(path, compression=compression, flush=flush) as recorder:
+            recorder.begin(plan(lay))
+            bound = recorder.size_bound(steps)
+            if steps:
+                for block, signals in blocks(table(lay, steps), 1 if flushed else 10):
+                    recorder.write(block, signals)
+        with subtests.test(case=(compression, wide, steps)):
+            assert path.stat().st_size <= bound
+
+
+@pytest.mark.fast("0-2000")
+@pytest.mark.parametrize(("wide", "steps"), [(0, 2000), (9000, 10)])
+def test_the_bound_of_a_large_log_is_less_than_twice_its_size(tmp_path, wide, steps):
+    """Of an uncompressed one over 1 GB; its size grows as between two short ones."""
+    lay = layout(wide=wide)
+    sizes = []
+    for count in (steps, 2 * steps):
+        path = tmp_path / f"{count}.mcap"
+        with McapRecorder(path, compression="none") as recorder:
+            recorder.begin(plan(lay))
+            for block, signals in blocks(table(lay, count), 10):
+                recorder.write(block, signals)
+        sizes.append(path.stat().st_size)
+    step_bytes = (sizes[1] - sizes[0]) / steps
+    large = int(1e9 / step_bytes)
+    with McapRecorder(tmp_path / "large.mcap", compression="none") as recorder:
+        recorder.begin(plan(lay))
+        assert large * step_bytes < recorder.size_bound(large) < 2.0 * large * step_bytes
+
+
+def test_a_large_log_is_announced_before_the_first_step(tmp_path, monkeypatch):
+    """Over 1 GB, and where the disk has less; otherwise nothing is said."""
+
+    class Begun(Exception):
+        pass
+
+    def stop(time, end):
+        raise Begun
+
+    def notices(stop_time, free):
+        monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=free))
+        said = []
+        with pytest.raises(Begun):
+            cosim.run(
+                "academic",
+                out=tmp_path / "a.mcap",
+                force=True,
+                set={"scenario.stop": stop_time},
+                notice=said.append,
+                progress=stop,
+            )
+        return said
+
+    assert notices(1.0, 10**12) == []
+    (text,) = notices(10_000.0, 10**12)
+    assert text.startswith(f"{tmp_path}/a.mcap ")
+    assert " GB" in text
+    (text,) = notices(1.0, 10_000)
+    assert text.startswith("warning: ")
+    assert "1e-05 GB" in text
+
+
+CLOCK = Clock(stop=100.0, step=1.0)
+
+
+def test_rows_of_a_block_under_way_are_written_once():
+    """After the flush interval those that are completed; when the block is written, the others."""
+    written = []
+    grown = threading.Event()
+
+    def add(content):
+        written.extend(zip(content.steps.tolist(), content.values[:, 0].tolist(), strict=True))
+        if len(written) == 31:
+            grown.set()
+
+    writer = BackgroundWriter(add, capacity=25, width=1, interval=0.01)
+    first = CLOCK.block_at(0, 10)
+    second = CLOCK.block_at(10, 40)
+    values = np.arange(51.0).reshape(-1, 1)
+    writer.follow(lambda: (second.part(0, 20), values[10:31]))
+    writer.write(first, values[:11], 0)
+    try:
+        assert grown.wait(10.0)  # more than a buffer holds
+        writer.write(second, values[10:], 1)
+    finally:
+        rest = writer.close()
+    add(rest)
+    assert written == [(k, float(k)) for k in range(51)]
+
+
+def test_rows_are_in_order_however_a_buffer_is_handed_over():
+    """The run fills the next buffer while the thread looks at what is under way."""
+    written = []
+    count = 3000
+    values = np.arange(10.0 * count + 1).reshape(-1, 1)
+    under_way = [CLOCK.block_at(0, 0), values[:1]]
+    writer = BackgroundWriter(
+        lambda content: written.extend(content.steps.tolist()),
+        capacity=7,
+        width=1,
+        interval=0.0,
+    )
+    writer.follow(lambda: tuple(under_way))
+    writer.write(*under_way, 0)
+    for number in range(count):
+        block = CLOCK.block_at(10 * number, 10)
+        under_way[:] = block, values[10 * number : 10 * number + 11]
+        writer.write(block, values[10 * number : 10 * number + 11], 1)
+    rest = writer.close()
+    if rest is not None:
+        written += rest.steps.tolist()
+    assert written == list(range(10 * count + 1))
+
+
+@pytest.mark.slow
+def test_many_components_have_no_more_pieces_than_few(tmp_path):
+    """A piece is what a chunk has of a component: it costs the same, however few rows it has.
+
+    Of 1000 components a step takes 49 kB: chunks of 1 MiB would have 21 rows of each, in 3 pieces.
+    """
+    record(tmp_path / "a.mcap", steps=60, size=60, lay=many(1000))
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        assert make_reader(stream).get_summary().statistics.chunk_count <= 1

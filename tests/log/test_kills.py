@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from cosim.log import open_log
-from tests.log.mcap_file.killed import Job, check, killed_run, processes, reports, whole_run
+from tests.log.killed import Job, answer_of, check, killed_run, whole_run
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no signals that kill")
 
@@ -81,17 +81,6 @@ def test_a_kill_of_a_run_leaves_a_whole_log_or_a_hidden_file(tmp_path, count):
         file.unlink()
 
 
-def memory_of(function, *arguments):
-    """Return how much more memory a process takes for a call than for its imports [bytes]."""
-    receiver, sender = processes.Pipe(duplex=False)
-    process = processes.Process(target=_measure, args=(sender, function, *arguments))
-    process.start()
-    sender.close()
-    (growth,) = reports(receiver)
-    process.join()
-    return growth
-
-
 def _measure(pipe, function, *arguments):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     function(*arguments)
@@ -118,6 +107,6 @@ def test_a_large_log_of_a_killed_run_is_opened_in_little_memory(tmp_path, subtes
         reported, _ = killed_run(job, chance.uniform(0, 0.1))
         with subtests.test(case=number):
             assert path.stat().st_size > BEYOND
-            assert memory_of(read_whole, path) < MOST_MEMORY
+            assert answer_of(_measure, read_whole, path) < MOST_MEMORY
             assert check(job, reported) >= reported
         path.unlink()

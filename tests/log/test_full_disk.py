@@ -13,7 +13,7 @@ import pytest
 
 from cosim.cli import main
 from cosim.log import open_log
-from tests.log.mcap_file.killed import processes, reports
+from tests.log.killed import answer_of
 from tests.log.recordings import same_bits
 
 pytestmark = [
@@ -50,21 +50,10 @@ def scenario(tmp_path):
     """Write the scenario; return its folder, the rows of a whole run and the size of its log."""
     (tmp_path / "loop.toml").write_text(SCENARIO)
     out = tmp_path / "whole.mcap"
-    code, _ = in_a_process(_run, tmp_path, out, "1", None)
+    code, _ = answer_of(_run, tmp_path, out, "1", None)
     assert code == 0
     log = open_log(out)
     return tmp_path, {name: log.rows(name) for name in log.channels}, out.stat().st_size
-
-
-def in_a_process(function, *arguments):
-    """Return what a function of a process of its own sends."""
-    receiver, sender = processes.Pipe(duplex=False)
-    process = processes.Process(target=function, args=(sender, *arguments))
-    process.start()
-    sender.close()
-    (answer,) = reports(receiver)
-    process.join()
-    return answer
 
 
 def _run(pipe, folder, out, flush, limit):
@@ -114,7 +103,7 @@ def test_a_limit_of_files_ends_a_run_with_a_whole_log(scenario, count):
     for number in range(count):
         limit = 1000 + 400_000 * number // (count - 1)
         flush = "1e-3" if number % 2 else "1"
-        code, text = in_a_process(_run, folder, out, flush, limit)
+        code, text = answer_of(_run, folder, out, flush, limit)
         codes.add(check(out, code, text, rows))
     assert codes == {0, 1, 2}
 
@@ -147,6 +136,6 @@ def test_a_full_disk_ends_a_run_with_a_whole_log(scenario, small_disk, count):
     for number in range(count):
         out = small_disk(4096 + (size + 80_000) * number // (count - 1)) / "a.mcap"
         flush = "1e-3" if number % 2 else "1"
-        code, text = in_a_process(_run, folder, out, flush, None)
+        code, text = answer_of(_run, folder, out, flush, None)
         codes.add(check(out, code, text, rows))
     assert codes == {0, 1, 2}

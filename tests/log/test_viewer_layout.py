@@ -7,7 +7,7 @@ import json
 from cosim.core.recorded.signals import find_signal
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.log import Attachment, Log
-from cosim.log.schema import message_paths
+from cosim.log.messages import message_paths
 from cosim.log.viewer_layout import (
     LAYOUT_FILE,
     MOST_PANELS,
@@ -16,8 +16,8 @@ from cosim.log.viewer_layout import (
     layout_json,
     output_panels,
 )
-from tests.log.contents.viewing import curves, decoded, leaves, parsed
 from tests.log.recordings import record
+from tests.log.viewing import curves, decoded, leaves, parsed
 
 
 def channels_of(*interfaces):

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import signal
-import subprocess
-import sys
+from contextlib import suppress
+from pathlib import Path
+from shutil import copy
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from cosim.errors import LogWriteError, UsageError
+from cosim.errors import LogError, LogWriteError, UsageError
 from cosim.log import McapRecorder, open_log
-from cosim.log.files import Rotation
+from cosim.log.files import Rotation, UnfinishedLog, part_paths, read_rotation
 from cosim.log.spans import merge
-from cosim.log.unfinished import UnfinishedLog
 from tests.log.recordings import (
     LATE,
     STEP_NS,
@@ -168,46 +167,27 @@ def test_a_run_that_fails_in_a_later_part_has_the_failure_there(tmp_path):
     assert merged.steps == 400
 
 
-KILLED = """
-import os, signal, sys
-from cosim.errors import LogError
-from cosim.log import McapRecorder, open_log
-from cosim.log.files import Rotation
-from tests.log.recordings import STEP_NS, blocks, layout, plan, table
-
-def last_step(path):
-    try:
-        return open_log(path).steps
-    except LogError:  # none there yet, or its rows have moved since it was opened
-        return 0
-
-run = list(blocks(table(layout(), 800), 100))
-options = {"rotation": Rotation(None, 300 * STEP_NS, ""), "flush": 1e-3}
-metadata = {"cosim.run": {"start_time": "0.0"}}
-with McapRecorder(sys.argv[1], metadata=metadata, **options) as recorder:
-    recorder.begin(plan())
-    for block, signals in run[:7]:
-        recorder.write(block, signals)
-    third = sys.argv[1].replace(".mcap", ".part3.mcap")
-    while last_step(third) != 700:
-        recorder.message(0, "info", "run", "waiting")
-    os.kill(os.getpid(), signal.SIGKILL)
-"""
-
-
-@pytest.mark.slow
 def test_a_run_that_is_killed_leaves_closed_parts_and_a_whole_one(tmp_path):
     """Which knows its steps and its end, though its rows begin late, and messages come before."""
     path = tmp_path / "run.mcap"
-    ended = subprocess.run([sys.executable, "-c", KILLED, str(path)], timeout=60, check=False)
-    assert ended.returncode == -signal.SIGKILL
-    parts = parts_of(path)
-    assert [open_log(part).status for part in parts] == ["partial", "partial", "unfinished"]
-    last = open_log(parts[2])
+    rows = table(layout(), 800)
+    metadata = {"cosim.run": {"start_time": "0.0"}}
+    with McapRecorder(path, metadata=metadata, rotation=LATE, flush=1e-3) as recorder:
+        recorder.begin(plan())
+        for block, signals in list(blocks(rows, 100))[:7]:
+            recorder.write(block, signals)
+        last_step = 0
+        while last_step != 700:
+            recorder.message(0, "info", "run", "waiting")
+            with suppress(LogError):  # none there yet, or its rows have moved since it was opened
+                last_step = open_log(tmp_path / "run.part3.mcap").steps
+        left = [Path(copy(part, tmp_path / f"left{part.name[3:]}")) for part in parts_of(path)]
+    assert [open_log(part).status for part in left] == ["partial", "partial", "unfinished"]
+    last = open_log(left[2])
     assert (last.steps, last.end_ns) == (700, 700 * STEP_NS)
-    merged = merge(parts, tmp_path / "whole.mcap")
+    merged = merge(left, tmp_path / "whole.mcap")
     assert (merged.status, merged.reason) == ("partial", "the part from 0.0 s to 0.7 s")
-    assert same_bits(merged.rows("plant"), table(layout(), 800)[:701, :5])
+    assert same_bits(merged.rows("plant"), rows[:701, :5])
 
 
 def test_every_file_has_room_for_rows(tmp_path):
@@ -219,3 +199,76 @@ def test_every_file_has_room_for_rows(tmp_path):
         with pytest.raises(UsageError, match=message):
             record(tmp_path / "run.mcap", steps=10, rotation=rotation)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_parts_of_an_earlier_run_are_refused_or_replaced(tmp_path):
+    """With the log that they belong to, when the new one is there; other files stay."""
+    path = tmp_path / "run.mcap"
+    record(path, steps=1000, rotation=LATE)
+    other = tmp_path / "run2.part2.mcap"
+    other.touch()
+    path.unlink()
+    with pytest.raises(LogError, match=r"run\.part2\.mcap exists, .* earlier log"):
+        record(path, steps=10)
+    assert len(parts_of(path)) == 4
+    record(path, steps=400, rotation=LATE, force=True)
+    assert [part.name for part in parts_of(path)] == ["run.mcap", "run.part2.mcap"]
+    record(path, steps=10, force=True)
+    assert sorted(tmp_path.iterdir()) == [path, other]
+
+
+def test_a_file_that_is_only_named_like_a_part_is_not_removed(tmp_path):
+    """It may be anybody's; what is no log says nothing of being a part of one."""
+    path = tmp_path / "run.mcap"
+    record(path, steps=10)
+    other = tmp_path / "run.part2.mcap"
+    record(tmp_path / "other.mcap", steps=10)
+    for content in (b"mine", (tmp_path / "other.mcap").read_bytes()):
+        other.write_bytes(content)
+        before = path.read_bytes(), other.read_bytes()
+        with pytest.raises(LogError, match=r"run\.part2\.mcap is named like a part of .*run\.mcap"):
+            record(path, steps=20, force=True)
+        assert (path.read_bytes(), other.read_bytes()) == before
+
+
+def test_the_log_of_a_run_that_writes_a_later_part_is_not_replaced(tmp_path):
+    """Nobody writes to its first file any more."""
+    path = tmp_path / "run.mcap"
+    run = list(blocks(table(layout(), 800), 400))
+    with McapRecorder(path, rotation=LATE, flush=1e-3) as recorder:
+        recorder.begin(plan())
+        recorder.write(*run[0])
+        while not part_paths(tmp_path / "run.part2.mcap")[1].exists():
+            recorder.message(0, "info", "run", "waiting")
+        with pytest.raises(LogError, match=r"run\.part2\.mcap is being written by another run"):
+            record(path, steps=10, force=True)
+        recorder.write(*run[1])
+    assert merge(parts_of(path), tmp_path / "whole.mcap").steps == 800
+
+
+def test_sizes_and_times_are_read():
+    """Sizes in powers of 10 or 2, times of the simulation."""
+    limits = {
+        "1GB": (10**9, None),
+        "2.5 MB": (2_500_000, None),
+        "4MiB": (2**22, None),
+        "3000000B": (3_000_000, None),
+        "0.002TB": (2 * 10**9, None),
+        "1h": (None, 3600 * 10**9),
+        "2min": (None, 120 * 10**9),
+        "0.5s": (None, 5 * 10**8),
+    }
+    found = {text: read_rotation(text) for text in limits}
+    assert {text: (read.size, read.span_ns) for text, read in found.items()} == limits
+
+
+def test_other_limits_are_refused(subtests):
+    """With what is expected."""
+    for text, expected in [
+        *((text, "a size in B, kB, .* GiB or a") for text in ("1 parsec", "1gb", "GB", "-1GB", 5)),
+        ("10kB", "at least 1MB"),
+        *((text, "nanoseconds > 0") for text in ("0s", "0.0000000001s", "999999999999h")),
+    ]:
+        match = rf"^rotate: expected .*{expected}.*got {text!r}"
+        with subtests.test(case=text), pytest.raises(UsageError, match=match):
+            read_rotation(text)

@@ -149,7 +149,7 @@ class Recording:
         schemas = [records.Schema(data=data, encoding="protobuf", id=1, name="s1")]
         channels = [records.Channel(1, "/s1", "protobuf", {}, 1)]
         head = MAGIC + encoded(records.Header("", "x"), *schemas, *channels)
-        self.file = LiveFile(self.stream, head, FileSummary(schemas, channels), sync=self.sync)
+        self.file = LiveFile(self.stream, head, FileSummary.of(schemas, channels), sync=self.sync)
         self.allowed = (0,)
 
     def look(self, content):

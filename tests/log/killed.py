@@ -21,8 +21,8 @@ from cosim.core.recorders import EndOfRun
 from cosim.log import McapRecorder, open_log, store
 from cosim.log.live_file import PAGE
 from cosim.log.mcap_records import HEADER, IndexEntry, RecordGroup, encoded, record_header
+from tests.log.direct import content, open_store
 from tests.log.recordings import STEP_NS, blocks, layout, plan, same_bits
-from tests.log.writing.direct import content, open_store
 
 WIDE = 1000  # doubles of a row, so that a chunk has few rows
 
@@ -153,6 +153,17 @@ def reports(pipe):
             return
 
 
+def answer_of(function, *arguments):
+    """Return what a function sends that is called in a process of its own, with a pipe."""
+    receiver, sender = processes.Pipe(duplex=False)
+    process = processes.Process(target=function, args=(sender, *arguments))
+    process.start()
+    sender.close()
+    (answer,) = reports(receiver)
+    process.join()
+    return answer
+
+
 def _run(job, pipe):
     """Write all; last report the number of writes, as text."""
     pipe.send(str((_with_recorder if job.kind == "recorder" else _with_store)(job, pipe)))
@@ -184,7 +195,7 @@ def _with_recorder(job, pipe):
     def report(log, flushed):
         nonlocal written
         add(log, flushed)
-        written += len(flushed.rows.steps)
+        written += len(flushed.steps)
         pipe.send(written)
 
     store.LogStore.add = report
