@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import cosim
 from cosim.core.recorded.joined_rows import joined_rows
 from cosim.core.recorded.selection import select_signals, selected_columns
 from cosim.core.signals import Channel, Interface, Signal
@@ -192,11 +191,10 @@ def test_xarray_has_units_and_elements(two_rates):
     assert same_bits(chosen["plant.x_a[0:2]"].to_numpy(), rows[:, 1:3])
 
 
-def test_xarray_has_descriptions():
+def test_xarray_has_descriptions(in_memory):
     """Of signals that have one."""
-    log = cosim.run("academic", set={"scenario.stop": 0.01})
-    dataset = log.to_xarray("observer.delta")
-    assert dataset["observer.delta"].attrs["long_name"] == log.signals["observer.delta"].description
+    text = in_memory.to_xarray("observer.delta")["observer.delta"].attrs["long_name"]
+    assert text == in_memory.signals["observer.delta"].description
 
 
 def test_a_window_is_a_frame_of_its_rows(two_rates):

@@ -132,6 +132,10 @@ SHORT = {"scenario.stop": 0.1}
 def test_a_run_is_a_mapping_of_its_signals(recorded):
     """Names in the order of the row, arrays by name, elements of a signal as well."""
     assert list(recorded) == list(recorded.signals)
+    assert recorded.signals["plant.x_a"].size == 2
+    assert recorded.signals["plant.x_a"].role == "state"
+    with pytest.raises(TypeError):
+        recorded.signals["plant.x_a"] = None
     assert len(recorded) == len(list(recorded.items())) == 24
     assert "u.y" in recorded
     assert "plant.x_a[1]" in recorded

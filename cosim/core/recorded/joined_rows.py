@@ -139,7 +139,8 @@ def _join(
             values[:, own] = rows[:, sources]
         yield JoinedRows(first, values, None)
         return
-    instants = [numbered_instants(times) for times in all_times]
+    several = any((times[1:] == times[:-1]).any() for times in all_times)
+    instants = [numbered_instants(times) if several else times for times in all_times]
     union, where = np.unique(np.concatenate(instants), return_inverse=True)
     positions = np.split(where, np.cumsum([len(times) for times in all_times])[:-1])
     values = np.full((len(union), width), NAN)
@@ -147,7 +148,7 @@ def _join(
     for (_, rows), (own, sources), at in zip(parts, places, positions, strict=True):
         values[np.ix_(at, own)] = rows[:, sources]
         missing[np.ix_(at, own)] = False
-    yield JoinedRows(union["time"].copy(), values, missing)
+    yield JoinedRows(union["time"].copy() if several else union, values, missing)
 
 
 def numbered_instants(time_ns: Nanoseconds) -> NDArray[np.void]:
