@@ -260,6 +260,9 @@ class Memory(RecordedRun):
 class Nothing(Recorder):
     """Keeps nothing."""
 
+    def __init__(self) -> None:  # a protocol's takes everything
+        return
+
 
 # --- runs that are passed on ---
 
