@@ -12,10 +12,9 @@ In the order in which to read it::
       conditions               where a run ends, or an action is performed
       stages/                  the engine under it: components in their places, cascades and loops,
                                in Python and in compiled code
-    recorders, recorded        what takes the rows, and gives them back by name
-      recorded.run             and by time, with what they rest on
-      selection, joined_rows   signals by pattern; those of several rates in one table
-      frames                   tables of pandas, polars, xarray
+    recorders                  what takes the rows: memory, several recorders, a slice of a run
+    recorded.run               what gives them back, by name and time, with what they rest on
+      selection, joined_rows   signals by pattern; those of several rates in one table, and frame
     simulation                 the same engine, step by step
       stepping/                actions and faults, jumps of inputs, states, rows
     ensemble                   many members of one graph
@@ -51,10 +50,9 @@ if TYPE_CHECKING:
     from cosim.core.linear import Linear, LinearModel
     from cosim.core.linearization import Linearized
     from cosim.core.master import run, simulate
-    from cosim.core.passing_recorders import Watched
     from cosim.core.port import Port
     from cosim.core.recorded.signals import RunMessage
-    from cosim.core.recorders import EndOfRun, Memory, Nothing, end_of_run
+    from cosim.core.recorders import EndOfRun, Memory, Nothing, Watched, end_of_run
     from cosim.core.recording import MessageLevel, Plan, Recorder, Recording, SignalEvent
     from cosim.core.signals import Channel, Interface, Layout, Signal
     from cosim.core.simulation import Simulation
@@ -103,7 +101,7 @@ _HOMES = {
     "SimulationState": "cosim.core.stepping.states",
     "StepRows": "cosim.core.stepping.step_rows",
     "Stopped": "cosim.core.contracts",
-    "Watched": "cosim.core.passing_recorders",
+    "Watched": "cosim.core.recorders",
 }
 
 __all__ = [

@@ -26,7 +26,8 @@ from cosim.core.connections import Connection, SourceText
 from cosim.core.contracts import Component, Design, InputWiring, Transfer
 from cosim.core.initialization.initial_values import InitialValues
 from cosim.core.port import Port
-from cosim.core.recording import CompleteRecording, Plan
+from cosim.core.recorded.run import RecordedRun
+from cosim.core.recording import Plan
 from cosim.core.signals import Channel, Variability
 from cosim.core.stages.calls import GuardedComponent
 from cosim.core.stages.coupling import Stage
@@ -400,7 +401,7 @@ class Graph:
                 inside = [origin for name, origin in origins.items() if name in names]
                 raise (inside or [bad])[-1].error(t)
 
-    def take_solutions(self, recording: CompleteRecording, recorded: Collection[str]) -> None:
+    def take_solutions(self, recording: RecordedRun, recorded: Collection[str]) -> None:
         """Take from a recording what was solved for in the loops that have recorded components.
 
         A recorded component does not answer, so that nothing can be solved for again, and no
@@ -408,7 +409,7 @@ class Graph:
 
         Parameters
         ----------
-        recording : CompleteRecording
+        recording : RecordedRun
         recorded : collection of component names
         """
         for stage in self._innermost_stages:

@@ -15,12 +15,13 @@ from cosim.core.contracts import Block, Design
 from cosim.core.port import Port
 from cosim.core.recorded.partial import PartialChannels, PartialRecord
 from cosim.core.signals import Channel, FaultKind, Layout
-from cosim.instants import Grid, StepNs, duration, last_nanosecond
+from cosim.instants import StepNs, duration, last_nanosecond
 
 EventCause: TypeAlias = FaultKind | Literal["override", "release", "set", "swap", "follow", "jump"]
 MessageLevel: TypeAlias = Literal["debug", "info", "warning", "error", "fatal"]
 INNER_STEP: Final = "inner step"  # of a component: category of a message, key of the results
 SHARED_INNER_STEP: Final = "inner step in a loop"  # of it, or of another one of its loop
+TimedRows: TypeAlias = tuple[Nanoseconds, Matrix]  # the rows of a component and their instants
 # a signal or elements of it, or several that are stacked
 SignalNames: TypeAlias = str | Port | Sequence[str | Port]
 
@@ -146,9 +147,21 @@ class Recorder(Protocol):
     set, components that are swapped (:class:`cosim.core.Simulation`), what follows them, and
     continuous outputs that jump with discrete signals or by themselves; there are substeps only of
     loops that take them.
+
+    Two methods more are called where a recorder has them:
+
+    ``follow(rows)`` takes a function that another thread may call; it returns what is computed of
+    a block that is not handed over yet, as ``write`` takes it, or None. Rows 1 to K stay as they
+    are until the block is written, as usual: then those that were taken are left out.
+
+    ``memory_for(block, steps)`` returns where the rows of a block will stay, shape (K+1, width), to
+    be filled where they stay, or None; ``steps`` of the run are still to come, with those of the
+    block. Row 0 is the last row of the block before. What is written of the block then is passed
+    to ``write`` as usual, as a part of this array.
     """
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        return self
 
     def __exit__(
         self,
@@ -161,11 +174,11 @@ class Recorder(Protocol):
         ``error`` is what ended the run, also the :class:`Stopped` of a regular end (``failed``
         False); :func:`cosim.core.end_of_run` turns it into a status and a reason.
         """
-        ...
+        return
 
     def begin(self, plan: Plan) -> None:
         """Receive what is fixed before the run; called before the first write."""
-        ...
+        return
 
     def write(self, block: Block, signals: Matrix) -> None:
         """Write rows 1 to K of ``signals``, shape (K+1, width); row 0 too in the first block.
@@ -178,58 +191,27 @@ class Recorder(Protocol):
             All rows; where the plan's layout gives a channel a ``period``, the rows whose step
             number is a multiple of it are to be kept. The array is used again: copy what is kept.
         """
-        ...
+        return
 
     def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
         """Record a message of the run or of a component, ``source``, at a simulation time [ns]."""
-        ...
+        return
 
     def event(self, event: SignalEvent) -> None:
         """Record a jump of a signal; called after the row at its instant was written."""
-        ...
+        return
 
     def substep(self, substep: Substep) -> None:
         """Record a substep; called when the row after it has been written."""
-        ...
+        return
 
     def result(self, values: Mapping[str, Any]) -> None:
         """Record plain values about the end of the run; called before ``__exit__``."""
-        ...
+        return
 
 
 RowsUnderWay: TypeAlias = Callable[[], tuple[Block, Matrix] | None]
-
-
-@runtime_checkable
-class Following(Protocol):
-    """For recorders that keep what is computed of a block also while it is not handed over."""
-
-    def follow(self, rows: RowsUnderWay) -> None:
-        """Take a function that another thread may call: it returns what is computed of a block.
-
-        Rows 1 to K stay as they are until the block is written, as usual: then those that were
-        taken are left out.
-        """
-        ...
-
-
-@runtime_checkable
-class RowMemory(Protocol):
-    """For recorders that keep the rows of a run in memory: they are computed where they stay."""
-
-    def memory_for(self, block: Block, steps: int) -> Matrix | None:
-        """Return where the rows of a block will stay, shape (K+1, width), to be filled.
-
-        Row 0 is the last row of the block before. None: there is no such memory. What is
-        written of the block then is passed to ``write`` as usual, as a part of this array.
-
-        Parameters
-        ----------
-        block : Block
-        steps : int
-            Steps of the run that are still to come, with those of the block.
-        """
-        ...
+RowMemory: TypeAlias = Callable[[Block, int], Matrix | None]
 
 
 @runtime_checkable
@@ -270,7 +252,7 @@ class Recording(Protocol):
 
     def blocks(
         self, component: str, *, first_ns: int | None = None, last_ns: int | None = None
-    ) -> Iterator[tuple[Nanoseconds, Matrix]]:
+    ) -> Iterator[TimedRows]:
         """Yield times and rows of a component in order of time, some at a time.
 
         The rows have its applied inputs, then its outputs. With bounds [ns], both included, they
@@ -318,26 +300,4 @@ class Recording(Protocol):
 
     def substeps(self) -> list[Substep]:
         """Return the substeps of loops, in the order of where they begin."""
-        ...
-
-
-class CompleteRecording(Recording, Protocol):
-    """A recording with the scenario of its run, which can be built again from it."""
-
-    @property
-    def grid(self) -> Grid:
-        """The communication points: number 0 is that at which the run began."""
-        ...
-
-    @property
-    def attachments(self) -> tuple[str, ...]:
-        """Names of the attachments."""
-        ...
-
-    def attachment(self, name: str) -> bytes:
-        """Return the content of an attachment."""
-        ...
-
-    def load(self, *components: str) -> None:
-        """Read several components at once, where they are not in memory yet."""
         ...

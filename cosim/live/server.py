@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 from typing import Final, Self, final
 
-from cosim.core.passing_recorders import TwoRecorders
+from cosim.core.recorders import Tee
 from cosim.core.recording import Recorder
 from cosim.errors import UsageError
 from cosim.live.connection import ViewerConnection
@@ -129,7 +129,7 @@ class LiveServer:
             The kinds of the components.
         """
         live = LiveRecorder(self.free_connection(), kinds, self.signals, self.listen)
-        return TwoRecorders(recorder, live)
+        return Tee(recorder, live)
 
     def wait_for_viewer(self, check: Callable[[], None] = lambda: None) -> None:
         """Wait until a viewer has subscribed; what ``check`` raises ends the waiting."""

@@ -23,8 +23,7 @@ import numpy as np
 from numpy.lib.format import write_array
 
 from cosim.arrays import Matrix, Nanoseconds
-from cosim.core.recorded.frames import TIME
-from cosim.core.recorded.joined_rows import JoinedRows
+from cosim.core.recorded.joined_rows import TIME, JoinedRows
 from cosim.core.recorded.signals import RecordedPort
 from cosim.errors import LogError, UsageError
 from cosim.instants import NANOSECONDS

@@ -29,7 +29,7 @@ from cosim.core.port import Port
 from cosim.core.recorded.partial import partial_of
 from cosim.core.recorded.selection import is_pattern, matches
 from cosim.core.recorded.signals import find_signal
-from cosim.core.recording import Recording
+from cosim.core.recording import Recording, TimedRows
 from cosim.core.signals import Signal
 from cosim.errors import LogError, UnknownSignalError, UsageError, nearest
 from cosim.instants import NANOSECONDS
@@ -42,7 +42,6 @@ from cosim.log.difference import (
     SignalDifference,
     compare_events,
 )
-from cosim.log.rows import TimedRows
 from cosim.log.signal_comparison import SignalComparison, Tolerances, compare_signals, distance
 
 

@@ -19,11 +19,11 @@ from cosim.arguments import log_argument
 from cosim.arrays import Mask, Matrix, Nanoseconds
 from cosim.core.contracts import Design
 from cosim.core.recorded.partial import PartialChannels, declared_channels
-from cosim.core.recorded.run import RecordedRun, blocks_within
+from cosim.core.recorded.run import RecordedRun, rows_within
 from cosim.core.recorded.selection import select_signals
 from cosim.core.recorded.signals import RunMessage, find_channel
 from cosim.core.recorders import Memory
-from cosim.core.recording import SignalEvent, Substep
+from cosim.core.recording import SignalEvent, Substep, TimedRows
 from cosim.core.signals import Channel
 from cosim.errors import GraphError, LogError, UsageError, nearest, quoted
 from cosim.instants import Grid, StepNs
@@ -50,7 +50,7 @@ from cosim.log.preamble import (
     RESULT_FILE,
     STEP_TOPIC,
 )
-from cosim.log.rows import LogRows, TimedRows
+from cosim.log.rows import LogRows
 
 _LOG_TIME = slice(6, 14)  # of a message record's content
 _DATA = slice(22, None)
@@ -337,20 +337,8 @@ class Log(RecordedRun):
             held[name] = mask
         return MappingProxyType(held)
 
-    def rows(self, component: str) -> Matrix:
-        """Return all rows of a component: applied inputs, then outputs.
-
-        Shape (N, width), read-only.
-
-        Raises
-        ------
-        UnknownSignalError
-            If there is no such component; names the nearest.
-        LogError
-            If the file is damaged.
-        """
-        find_channel(self._channels, component, source=str(self.path))
-        return self._rows.of(component)[1]
+    def _timed_rows(self, channel: Channel) -> TimedRows:
+        return self._rows.of(channel.name)
 
     def time_ns(self, component: str) -> Nanoseconds:
         """Return the instants of a component's rows, shape (N,) [ns]; read-only.
@@ -368,30 +356,6 @@ class Log(RecordedRun):
     def columns(self, component: str, columns: slice) -> Matrix:
         """Return some columns of a component's rows, shape (N, columns); read-only."""
         return self._rows.columns(component, columns)
-
-    def blocks(
-        self, component: str, *, first_ns: int | None = None, last_ns: int | None = None
-    ) -> Iterator[TimedRows]:
-        """Yield times and rows of a component in order of time; of a long log some at a time.
-
-        Nothing is kept: the memory that this takes does not grow with the log.
-
-        Parameters
-        ----------
-        component : str
-        first_ns, last_ns : int, optional
-            Only rows in ``first_ns <= time <= last_ns`` [ns].
-
-        Raises
-        ------
-        UnknownSignalError
-            If there is no such component; names the nearest.
-        LogError
-            If the file is damaged.
-        """
-        find_channel(self._channels, component, source=str(self.path))
-        for _, time_ns, rows in self.blocks_of([component], first_ns=first_ns, last_ns=last_ns):
-            yield time_ns, rows
 
     def blocks_of(
         self,
@@ -414,8 +378,7 @@ class Log(RecordedRun):
         for name in components:
             find_channel(self._channels, name, source=str(self.path))
         for name, time_ns, rows in self._rows.blocks(components, first_ns, last_ns):
-            for part in blocks_within(iter([(time_ns, rows)]), first_ns, last_ns):
-                yield name, *part
+            yield name, *rows_within(time_ns, rows, first_ns, last_ns)
 
     @property
     def row_bytes(self) -> int:

@@ -11,7 +11,7 @@ import hashlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Final, NamedTuple, TypeAlias, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -19,6 +19,7 @@ from mcap.records import Channel as DeclaredChannel
 
 from cosim.arrays import Matrix, Nanoseconds
 from cosim.core.clock import LARGEST_NS
+from cosim.core.recording import TimedRows
 from cosim.core.signals import Channel
 from cosim.errors import LogError
 from cosim.instants import NANOSECONDS, Grid
@@ -26,8 +27,6 @@ from cosim.log.container import Container, OtherRecord, scan
 from cosim.log.layout import Part, Records, copy_columns, record_dtype
 from cosim.log.metadata import combine_hashes, hash_input
 from cosim.log.places import MALFORMED
-
-TimedRows: TypeAlias = tuple[Nanoseconds, Matrix]  # shapes (n,) and (n, width)
 
 _DOUBLE_BYTES: Final = 8
 _ROWS: Final = 2**15  # that are converted at a time

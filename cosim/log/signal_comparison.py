@@ -21,9 +21,9 @@ from cosim.arrays import Mask, Matrix, Nanoseconds
 from cosim.core.port import Port
 from cosim.core.recorded.joined_rows import numbered_instants
 from cosim.core.recorded.selection import matches
+from cosim.core.recording import TimedRows
 from cosim.errors import LogError, UsageError, nearest, option
 from cosim.log.difference import DifferenceStatus, ElementDifference, SignalDifference
-from cosim.log.rows import TimedRows
 
 
 @final

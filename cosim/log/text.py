@@ -21,8 +21,7 @@ from typing import Final, Protocol, TypeAlias
 import numpy as np
 
 from cosim.arrays import Nanoseconds
-from cosim.core.recorded.frames import TIME
-from cosim.core.recorded.joined_rows import JoinedRows, joined_rows
+from cosim.core.recorded.joined_rows import TIME, JoinedRows, joined_rows
 from cosim.core.recorded.run import RecordedRun, RecordedWindow, span_ns
 from cosim.core.recorded.selection import (
     SelectedColumn,

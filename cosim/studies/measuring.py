@@ -10,8 +10,7 @@ import numpy as np
 
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block
-from cosim.core.passing_recorders import TwoRecorders
-from cosim.core.recorders import Nothing
+from cosim.core.recorders import Nothing, Tee
 from cosim.core.recording import Plan, Recorder
 from cosim.core.signals import Layout
 from cosim.errors import UsageError, option
@@ -178,7 +177,7 @@ class AssertedView:
     def beside(self, recorder: Recorder, kinds: Mapping[str, str]) -> Recorder:
         """Return what measures a run, and passes it on."""
         shown = recorder if self._other is None else self._other.beside(recorder, kinds)
-        return TwoRecorders(self._recorder, shown)
+        return Tee(self._recorder, shown)
 
     @property
     def problems(self) -> dict[str, str]:

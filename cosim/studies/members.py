@@ -10,15 +10,14 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from time import perf_counter
-from types import TracebackType
 from typing import TYPE_CHECKING, Final, final
 
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block
-from cosim.core.passing_recorders import PassingRecorder, TwoRecorders
-from cosim.core.recorded.signals import DistinctWarnings, RunMessage, warning_texts
-from cosim.core.recorders import EndOfRun, end_of_run, error_text
-from cosim.core.recording import MessageLevel, Recorder
+from cosim.core.recorded.signals import DistinctWarnings, warning_texts
+from cosim.core.recorders import EndOfRun, Tee, end_of_run, error_text
+from cosim.core.recorders import close as close_recorder
+from cosim.core.recording import Recorder
 from cosim.digests import FileDigests, digest_of
 from cosim.errors import ChangedFileError, Interrupted, LogWriteError, UsageError
 from cosim.files import file_type
@@ -130,11 +129,11 @@ class OpenedSubject:
         self, member: StudyMember, out: Path | None = None, sink: Recorder | None = None
     ) -> MemberOutcome:
         """Run a member; ``sink`` takes its rows instead of what keeps the metrics."""
-        measured = _Measured(self._recorder if sink is None else sink)
+        measured = _Measured()
         began = perf_counter()
         status: MemberStatus = COMPLETE
         try:
-            values = self._run(member, out, measured)
+            values = self._run(member, out, measured, self._recorder if sink is None else sink)
             reason = measured.end.reason
             if sink is None:
                 values |= self._recorder.values()
@@ -157,7 +156,7 @@ class OpenedSubject:
         )
 
     def _run(
-        self, member: StudyMember, out: Path | None, measured: _Measured
+        self, member: StudyMember, out: Path | None, measured: _Measured, sink: Recorder
     ) -> dict[str, MetricValue]:
         """Run a member; return its results, where they are wanted."""
         with Resources(self._fmus) as resources:
@@ -166,13 +165,13 @@ class OpenedSubject:
             self._check(read)
             results: dict[str, MetricValue] = {}
             if out is None and not self.subject.with_results:  # verdicts are of a log
-                run_rows(measured, _in_short_blocks(experiment))
+                run_rows(measured.beside(sink), _in_short_blocks(experiment))
             else:
                 recording = record(
                     experiment,
                     Target(out, force=out is not None),
                     progress=None,
-                    beside=lambda recorder: TwoRecorders(recorder, measured),
+                    beside=lambda recorder: measured.beside(recorder, sink),
                 )
                 if self.subject.with_results:
                     results |= results_of(summarize(recording))
@@ -258,35 +257,28 @@ class OpenedSubject:
 
 
 @final
-class _Measured(PassingRecorder):
-    """Passes a run on, and knows how far it came, how it ended and what it warned of."""
+class _Measured:
+    """Knows of a run how far it came, how it ended and what it warned of."""
 
-    def __init__(self, sink: Recorder) -> None:
-        super().__init__(sink)
+    def __init__(self) -> None:
         self.steps = 0
         self.end = EndOfRun()
         self._warnings = DistinctWarnings()
 
-    def __exit__(
-        self,
-        error_type: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def beside(self, *recorders: Recorder) -> Recorder:
+        """Return what passes the run on to recorders."""
+        return Tee(*recorders, said=self._warnings.add, reached=self._reach, ended=self._finish)
+
+    def _reach(self, block: Block, signals: Matrix) -> None:
+        self.steps = block.index + block.steps
+
+    def _finish(self, recorder: Recorder, error: BaseException | None) -> None:
         self.end = end_of_run(error)
-        super().__exit__(error_type, error, trace)
+        close_recorder(recorder, error)
 
     @property
     def warnings(self) -> list[str]:
         return sorted(without_folders(text, "fmu") for text in warning_texts(self._warnings))
-
-    def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
-        self._warnings.add(RunMessage(time_ns, level, source, text))
-        super().message(time_ns, level, source, text)
-
-    def write(self, block: Block, signals: Matrix) -> None:
-        self.steps = block.index + block.steps
-        super().write(block, signals)
 
 
 _opened: OpenedSubject | None = None

@@ -27,9 +27,8 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from cosim.core.clock import Clock
 from cosim.core.graph import Graph
-from cosim.core.growing_rows import untouched_rows
 from cosim.core.master import run
-from cosim.core.recorders import Memory
+from cosim.core.recorders import Memory, untouched_rows
 from cosim.core.structure.order import Coupling
 from cosim.fmi.component import Fmu, load
 from cosim.fmi.options import FmuOptions

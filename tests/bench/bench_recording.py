@@ -24,8 +24,7 @@ from cosim.core.clock import Clock
 from cosim.core.contracts import Block
 from cosim.core.graph import Graph
 from cosim.core.master import run as run_graph
-from cosim.core.passing_recorders import PassingRecorder
-from cosim.core.recorders import Nothing
+from cosim.core.recorders import Nothing, Tee
 from cosim.core.recording import Plan, Recorder
 from cosim.fmi.component import load
 from cosim.fmi.options import FmuOptions
@@ -53,11 +52,12 @@ class Captured(Nothing):
         self.blocks.append((kept, signals.copy()))
 
 
-class Timed(PassingRecorder):
+class Timed(Tee):
     """Measures how long each block holds up the run."""
 
     def __init__(self, recorder: McapRecorder) -> None:
         super().__init__(recorder)
+        self._recorder = recorder
         self.writes: list[float] = []
         self.between: list[float] = []
 

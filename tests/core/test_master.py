@@ -14,8 +14,7 @@ from cosim.core.connections import Connection
 from cosim.core.contracts import Stopped
 from cosim.core.graph import Graph
 from cosim.core.master import run, simulate
-from cosim.core.passing_recorders import Watched
-from cosim.core.recorders import Memory, Nothing
+from cosim.core.recorders import Memory, Nothing, Watched
 from cosim.core.signals import Interface, Signal
 from cosim.errors import LogError, NonFiniteError, RunError, UsageError
 from tests.core.parts import Scripted, integrator, times

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.core.passing_recorders import Watched
+from cosim.core.recorders import Watched
 from cosim.errors import UnknownSignalError
 from cosim.live import LiveServer
 from cosim.live.playback import Playback

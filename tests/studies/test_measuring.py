@@ -8,9 +8,8 @@ from cosim.blocks.source import sine, step
 from cosim.core.clock import Clock
 from cosim.core.graph import Graph
 from cosim.core.master import run
-from cosim.core.partial_recorder import PartialRecorder
 from cosim.core.recorded.partial import RecordSelection
-from cosim.core.recorders import Memory
+from cosim.core.recorders import Memory, Slice
 from cosim.errors import NonFiniteError, UsageError, shell_language
 from cosim.studies.measuring import AssertedView, Assertions, MetricRecorder
 from cosim.studies.metrics import parse_metrics
@@ -82,7 +81,7 @@ def test_of_a_part_of_a_run_they_are_those_of_the_part():
     """Behind a recorder of some rows, and of what it has recorded."""
     metrics, memory = parse_metrics({"n": "count(plant.y)"}), Memory()
     for one in (recorder := MetricRecorder(metrics), memory):
-        run(wave(), CLOCK, PartialRecorder(one, RecordSelection(("plant.y",), 5)))
+        run(wave(), CLOCK, Slice(one, RecordSelection(("plant.y",), 5)))
     assert recorder.values() == metrics.of(memory) == {"n": 401.0}
 
 

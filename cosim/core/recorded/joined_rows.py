@@ -1,25 +1,36 @@
-"""Signals of several components in one table: joined on time.
+"""Signals of several components in one table: joined on time; frames of pandas, polars and xarray.
 
 The table has a row at every instant at which one of its components has one; where another component
-has none, its values are missing. Signals of one rate have no missing values. In logs of cosim a
-component has one row at an instant; several rows of one instant are paired in their order.
+has none, its values are missing: NaN, or in polars null, as polars distinguishes a missing value
+from NaN. Signals of one rate have no missing values. In logs of cosim a component has one row at an
+instant; several rows of one instant are paired in their order.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from math import floor
-from typing import Protocol, final
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import NAN, Matrix, Nanoseconds
-from cosim.core.recorded.selection import SelectedColumn
-from cosim.core.signals import Channel
-from cosim.instants import StepNs
+from cosim.arrays import NAN, Matrix, Nanoseconds, Vector
+from cosim.core.recorded.selection import SelectedColumn, select_signals, selected_columns
+from cosim.core.recorded.signals import RecordedPort
+from cosim.core.recording import Recording, TimedRows
+from cosim.errors import UsageError
+from cosim.instants import NANOSECONDS
+from cosim.units import units_text
 
+if TYPE_CHECKING:
+    import pandas
+    import polars
+    import xarray
+
+TIME: Final = "t"  # name of the column of instants [s]
 _INSTANT = np.dtype([("time", "<i8"), ("count", "<i8")])
 
 
@@ -49,30 +60,16 @@ class JoinedRows:
         return JoinedRows(self.time_ns[begin:end], self.values[begin:end], missing)
 
 
-class TableSource(Protocol):
-    """What a table is made of."""
+class TableSource(Recording, Protocol):
+    """What a table is made of: a finished run that can be read in one pass."""
 
-    @property
-    def label(self) -> str:
-        """What was recorded to."""
-        ...
-
-    @property
-    def status(self) -> str:
-        """How the run ended."""
-        ...
-
-    @property
-    def channels(self) -> Mapping[str, Channel]:
-        """The recorded components by name."""
-        ...
-
-    @property
-    def step_ns(self) -> StepNs:
-        """Communication step [ns]."""
-        ...
-
-    def blocks_of(self, components: Sequence[str]) -> Iterator[tuple[str, Nanoseconds, Matrix]]:
+    def blocks_of(
+        self,
+        components: Sequence[str],
+        *,
+        first_ns: int | None = None,
+        last_ns: int | None = None,
+    ) -> Iterator[tuple[str, Nanoseconds, Matrix]]:
         """Yield names, times and rows of components as they come, each in order of time."""
         ...
 
@@ -90,29 +87,20 @@ def joined_rows(run: TableSource, columns: Sequence[SelectedColumn]) -> Iterator
     """
     components = list(dict.fromkeys(column.component for column in columns))
     places = [_places(columns, name) for name in components]
-    pending: dict[str, _PendingRows] = {}
-    for name in components:
-        pending[name] = _PendingRows(floor(run.channels[name].period * run.step_ns))
+    waiting: dict[str, list[TimedRows]] = {name: [] for name in components}
+    # none of a component that is before this instant [ns] is still to come: they are periodic
+    whole_before = dict.fromkeys(components, -np.inf)
     taken_before = -np.inf
     for name, times, rows in run.blocks_of(components):
-        pending[name].add(times, rows)
-        end = min(own.whole_before for own in pending.values())
+        waiting[name].append((times, rows))
+        if len(times):
+            period_ns = floor(run.channels[name].period * run.step_ns)
+            whole_before[name] = int(times[-1]) + period_ns
+        end = min(whole_before.values())
         if end > taken_before:
             taken_before = end
-            yield from _joined_before(end, pending, places, len(columns))
-    yield from _joined_before(np.inf, pending, places, len(columns))
-
-
-def _joined_before(
-    end: float,
-    pending: Mapping[str, _PendingRows],
-    places: Sequence[tuple[NDArray[np.intp], NDArray[np.intp]]],
-    width: int,
-) -> Iterator[JoinedRows]:
-    """Yield the rows before an instant, if there are any."""
-    parts = [own.take(end) for own in pending.values()]
-    if any(len(times) for times, _ in parts):
-        yield _join(parts, places, width)
+            yield from _join([_take(own, end) for own in waiting.values()], places, len(columns))
+    yield from _join([_take(own, np.inf) for own in waiting.values()], places, len(columns))
 
 
 def _places(
@@ -124,77 +112,43 @@ def _places(
     return np.array(own, dtype=np.intp), np.array(sources, dtype=np.intp)
 
 
+def _take(waiting: list[TimedRows], end: float) -> TimedRows:
+    """Take the rows before an instant; the others go on waiting."""
+    times, rows = waiting[0]
+    if len(waiting) > 1:
+        times = np.concatenate([own for own, _ in waiting])
+        rows = np.concatenate([own for _, own in waiting])
+    count = len(times) if end == np.inf else int(np.searchsorted(times, int(end)))
+    waiting[:] = [(times[count:], rows[count:])]
+    return times[:count], rows[:count]
+
+
 def _join(
-    parts: Sequence[tuple[Nanoseconds, Matrix]],
+    parts: Sequence[TimedRows],
     places: Sequence[tuple[NDArray[np.intp], NDArray[np.intp]]],
     width: int,
-) -> JoinedRows:
-    """Join the rows of components in one window of time."""
-    first = parts[0][0]
-    if all(np.array_equal(times, first) for times, _ in parts[1:]):
+) -> Iterator[JoinedRows]:
+    """Join the rows of components in one window of time, if there are any."""
+    all_times = [times for times, _ in parts]
+    first = all_times[0]
+    if not any(map(len, all_times)):
+        return
+    if all(np.array_equal(times, first) for times in all_times):
         values = np.empty((len(first), width))
         for (_, rows), (own, sources) in zip(parts, places, strict=True):
             values[:, own] = rows[:, sources]
-        return JoinedRows(first, values, None)
-    time_ns, positions = _union([times for times, _ in parts])
-    values = np.full((len(time_ns), width), NAN)
-    missing = np.ones((len(time_ns), width), dtype=np.bool_)
+        yield JoinedRows(first, values, None)
+        return
+    several = any((times[1:] == times[:-1]).any() for times in all_times)
+    instants = [numbered_instants(times) if several else times for times in all_times]
+    union, where = np.unique(np.concatenate(instants), return_inverse=True)
+    positions = np.split(where, np.cumsum([len(times) for times in all_times])[:-1])
+    values = np.full((len(union), width), NAN)
+    missing = np.ones((len(union), width), dtype=np.bool_)
     for (_, rows), (own, sources), at in zip(parts, places, positions, strict=True):
         values[np.ix_(at, own)] = rows[:, sources]
         missing[np.ix_(at, own)] = False
-    return JoinedRows(time_ns, values, missing)
-
-
-def _union(
-    times: Sequence[Nanoseconds],
-) -> tuple[Nanoseconds, list[NDArray[np.intp]]]:
-    """Return all instants in order, and where those of each component are among them."""
-    bounds = np.cumsum([len(part) for part in times])[:-1]
-    if all((part[1:] > part[:-1]).all() for part in times):
-        union, where = np.unique(np.concatenate(times), return_inverse=True)
-        return union, np.split(where, bounds)
-    instants = np.concatenate([numbered_instants(part) for part in times])
-    all_instants, where = np.unique(instants, return_inverse=True)
-    time_ns: Nanoseconds = all_instants["time"].copy()
-    return time_ns, np.split(where, bounds)
-
-
-# --- rows that wait for those of others ---
-
-
-@final
-class _PendingRows:
-    """Rows of a component that have come, and not yet those of all others at their instants."""
-
-    def __init__(self, period_ns: int) -> None:
-        self._period_ns = period_ns
-        self._parts: list[tuple[Nanoseconds, Matrix]] = []
-        self._width = 0
-        self.whole_before = -np.inf  # [ns]; no row before this instant is still to come
-
-    def add(self, times: Nanoseconds, rows: Matrix) -> None:
-        """Add the next rows."""
-        self._width = rows.shape[1]
-        if len(times):
-            self._parts.append((times, rows))
-            self.whole_before = int(times[-1]) + self._period_ns
-
-    def take(self, end: float) -> tuple[Nanoseconds, Matrix]:
-        """Take the rows before an instant; those of the component are periodic."""
-        taken: list[tuple[Nanoseconds, Matrix]] = []
-        kept: list[tuple[Nanoseconds, Matrix]] = []
-        for times, rows in self._parts:
-            count = len(times) if end == np.inf else int(np.searchsorted(times, int(end)))
-            taken.append((times[:count], rows[:count]))
-            if count < len(times):
-                kept.append((times[count:], rows[count:]))
-        self._parts = kept
-        if len(taken) == 1:
-            return taken[0]
-        no_times = np.empty(0, np.int64)
-        no_rows = np.empty((0, self._width))
-        all_times = np.concatenate([no_times, *(times for times, _ in taken)])
-        return all_times, np.concatenate([no_rows, *(rows for _, rows in taken)])
+    yield JoinedRows(union["time"].copy() if several else union, values, missing)
 
 
 def numbered_instants(time_ns: Nanoseconds) -> NDArray[np.void]:
@@ -207,3 +161,88 @@ def numbered_instants(time_ns: Nanoseconds) -> NDArray[np.void]:
     instants["time"] = time_ns
     instants["count"] = np.arange(len(time_ns)) - first_rows
     return instants
+
+
+# --- frames of other libraries, which are imported only when they are used ---
+
+
+def to_pandas(run: TableSource, signals: Iterable[str] | str | None) -> pandas.DataFrame:
+    """Return chosen signals as a frame: a column an element, the index is the time [s]."""
+    library = _library("pandas")
+    _, columns, table = _chosen(run, signals)
+    index = library.Index(_seconds(table), name=TIME)
+    names = [column.name for column in columns]
+    return library.DataFrame(table.values, index=index, columns=names)
+
+
+def to_polars(run: TableSource, signals: Iterable[str] | str | None) -> polars.DataFrame:
+    """Return chosen signals as a frame: a column an element, after that of the time [s]."""
+    library = _library("polars")
+    _, columns, table = _chosen(run, signals)
+    series = [library.Series(TIME, _seconds(table))]
+    for number, column in enumerate(columns):
+        values = library.Series(column.name, np.ascontiguousarray(table.values[:, number]))
+        if table.missing is not None and table.missing[:, number].any():
+            values = values.scatter(np.flatnonzero(table.missing[:, number]), None)
+        series.append(values)
+    return library.DataFrame(series)
+
+
+def to_xarray(run: TableSource, signals: Iterable[str] | str | None) -> xarray.Dataset:
+    """Return chosen signals as variables over the time [s], those of several elements in 2-D.
+
+    Their attributes have the units, and what the signals are.
+    """
+    library = _library("xarray")
+    selection, columns, table = _chosen(run, signals)
+    places = {(column.component, column.column): i for i, column in enumerate(columns)}
+    variables: dict[str, Any] = {}
+    for name, port in selection.items():
+        own = [places[port.channel.name, i] for i in range(port.columns.start, port.columns.stop)]
+        dimensions = (TIME,) if port.size == 1 else (TIME, f"element of {name}")
+        values = table.values[:, own[0] if port.size == 1 else own]
+        variables[name] = (dimensions, values, _attributes(port))
+    time = (TIME, _seconds(table), {"units": "s", "long_name": "simulation time"})
+    return library.Dataset(variables, {TIME: time}, {"source": run.label, "status": run.status})
+
+
+def _chosen(
+    run: TableSource, signals: Iterable[str] | str | None
+) -> tuple[Mapping[str, RecordedPort], Sequence[SelectedColumn], JoinedRows]:
+    """Return chosen signals, their elements, and all rows of these."""
+    selection = select_signals(run.channels, signals, source=run.label)
+    columns = selected_columns(selection)
+    parts = list(joined_rows(run, columns))
+    if len(parts) == 1:
+        return selection, columns, parts[0]
+    time_ns = np.concatenate([np.empty(0, np.int64), *(part.time_ns for part in parts)])
+    values = np.concatenate([np.empty((0, len(columns))), *(part.values for part in parts)])
+    missing = np.zeros(values.shape, np.bool_)
+    start = 0
+    for part in parts:
+        if part.missing is not None:
+            missing[start : start + len(part)] = part.missing
+        start += len(part)
+    return selection, columns, JoinedRows(time_ns, values, missing)
+
+
+def _seconds(table: JoinedRows) -> Vector:
+    return table.time_ns / NANOSECONDS
+
+
+def _attributes(port: RecordedPort) -> dict[str, str]:
+    """Return what a signal is, in the names of the CF conventions where these have one."""
+    signal = port.described
+    attributes = {"units": units_text(port.measures), "long_name": signal.description}
+    attributes |= {"role": signal.role, "variability": signal.variability, "type": signal.type}
+    return {key: text for key, text in attributes.items() if text}
+
+
+def _library(name: str) -> Any:
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise UsageError(
+            f"to_{name} needs {name}, which is not installed: pip install {name}, or, in a clone "
+            f"of cosim, pip install -e '.[{name}]'"
+        ) from error

@@ -7,7 +7,7 @@ the period and ``every``, that is of their least common multiple, counted from t
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, final
 
@@ -109,7 +109,7 @@ def _count(channels: Mapping[str, Channel]) -> int:
 
 
 @final
-class PartialChannels(Mapping[str, Channel]):
+class PartialChannels(dict[str, Channel]):
     """The recorded components by name, with what was not recorded of them and others.
 
     Parameters
@@ -119,17 +119,8 @@ class PartialChannels(Mapping[str, Channel]):
     """
 
     def __init__(self, channels: Mapping[str, Channel], partial: PartialRecord) -> None:
-        self._channels = dict(channels)
+        super().__init__(channels)
         self.partial = partial
-
-    def __getitem__(self, name: str) -> Channel:
-        return self._channels[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._channels)
-
-    def __len__(self) -> int:
-        return len(self._channels)
 
 
 def partial_of(channels: Mapping[str, Channel]) -> PartialRecord | None:

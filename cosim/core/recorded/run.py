@@ -1,4 +1,4 @@
-"""A finished run: what it was made from, its times, tables and windows.
+"""A finished run, wherever it lies: its signals by name and time, what they rest on, windows of it.
 
 A window reads like a run of its own: it has the same signals, but only the rows, messages and jumps
 of a span of time. Its rows are read when they are first used.
@@ -16,14 +16,30 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.arguments import number_argument
 from cosim.arrays import Mask, Matrix, Nanoseconds, Vector
-from cosim.core.recorded.partial import declared_channels
-from cosim.core.recorded.signals import RecordedSignals, RunMessage, find_channel
-from cosim.core.recording import SignalEvent, Substep
-from cosim.core.signals import Channel
-from cosim.errors import LogError, UsageError, quoted
+from cosim.core.port import Port
+from cosim.core.recorded.partial import PartialRecord, declared_channels, partial_of
+from cosim.core.recorded.signals import (
+    WARNINGS,
+    DistinctWarnings,
+    RunMessage,
+    find_channel,
+    find_signal,
+    html_table,
+)
+from cosim.core.recording import (
+    MessageLevel,
+    Recording,
+    SignalEvent,
+    SignalNames,
+    Substep,
+    TimedRows,
+)
+from cosim.core.signals import Channel, Signal
+from cosim.errors import LogError, UnknownSignalError, UsageError, quoted
 from cosim.instants import NANOSECONDS, Grid, StepNs, first_nanosecond, last_nanosecond
 
 if TYPE_CHECKING:
@@ -36,81 +52,136 @@ SCENARIO_FILE: Final = "scenario.toml"
 _LATEST: Final = 9e9  # s; every recorded instant is before it
 
 
-class RecordedRun(RecordedSignals):
-    """A finished run: its signals by name, what they rest on, and windows of it."""
+class RecordedRun(Mapping[str, NDArray[np.float64]], Recording):
+    """The signals of a finished run by name, ``component.signal``; arrays are read-only.
+
+    Iteration, length, ``keys``, ``values`` and ``items`` are of whole signals; elements of one, or
+    several side by side, can be asked for too: ``run["plant.x_a[1]"]``, ``run[["u.y", "y.y"]]``.
+
+    A class of runs has ``_timed_rows``, or, where rows are read in parts, ``blocks_of``.
+    """
+
+    # --- signals by name ---
+
+    def __getitem__(self, signal: SignalNames) -> NDArray[np.float64]:
+        """Return a signal at every recorded row: shape (N,) for one element, else (N, size).
+
+        Several signals of the same instants are stacked: shape (N, sum of their sizes).
+
+        Raises
+        ------
+        UnknownSignalError
+            If there is no such component, signal or element; names the nearest.
+        """
+        if not isinstance(signal, str | Port):
+            return self._stacked(signal)
+        port = find_signal(self.channels, signal, source=self.label)
+        values = self.columns(port.channel.name, port.columns)
+        return values[:, 0] if port.size == 1 else values
+
+    def _stacked(self, signals: Sequence[str | Port]) -> Matrix:
+        """Return several signals of the same instants side by side.
+
+        Raises
+        ------
+        LogError
+            If there is none, if one is unknown, or if they have different instants.
+        """
+        is_list = isinstance(signals, Sequence) and len(signals) > 0
+        if not is_list or not all(isinstance(signal, str | Port) for signal in signals):
+            raise LogError(
+                f"{self.label}: expected a signal name, or a list of names, got {signals!r}"
+            )
+        ports = [find_signal(self.channels, signal, source=self.label) for signal in signals]
+        times = self.time_ns(ports[0].channel.name)
+        for signal, port in zip(signals[1:], ports[1:], strict=True):
+            other_times = self.time_ns(port.channel.name)
+            if not np.array_equal(times, other_times):
+                raise LogError(
+                    f"{self.label}: expected signals with the same instants, got '{signals[0]}' "
+                    f"with {len(times)} rows and '{signal}' with {len(other_times)}; read each "
+                    "with its own time()"
+                )
+        values = np.hstack([self.columns(port.channel.name, port.columns) for port in ports])
+        values.flags.writeable = False
+        return values
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.signals)
+
+    def __len__(self) -> int:
+        return sum(len(channel.signals) for channel in self.channels.values())
+
+    def __contains__(self, signal: object) -> bool:
+        if not isinstance(signal, str | Port):
+            return False
+        try:
+            find_signal(self.channels, signal, source=self.label)
+        except UnknownSignalError:
+            return False
+        return True
+
+    # as for arrays, equality of all values is asked for by name: cosim.diff
+    __eq__ = object.__eq__
+    __hash__ = object.__hash__
 
     @property
-    @abstractmethod
-    def metadata(self) -> Mapping[str, Any]:
-        """What was recorded beside the signals."""
+    def signals(self) -> Mapping[str, Signal]:
+        """What is known of every signal, by its name ``component.signal``: size, unit, role, ..."""
+        declared = {}
+        for component, channel in self.channels.items():
+            for signal in channel.signals:
+                declared[f"{component}.{signal.name}"] = channel.described(signal.name)
+        return MappingProxyType(declared)
 
-    @property
-    @abstractmethod
-    def attachments(self) -> tuple[str, ...]:
-        """Names of the attachments."""
-
-    @abstractmethod
-    def attachment(self, name: str) -> bytes:
-        """Return the content of an attachment."""
-
-    @property
-    @abstractmethod
-    def held(self) -> Mapping[str, Mask]:
-        """Which input elements of every component had a zero-order hold."""
-
-    @property
-    @abstractmethod
-    def step_ns(self) -> StepNs:
-        """Communication step [ns]."""
-
-    @property
-    def grid(self) -> Grid:
-        """The communication points: number 0 is that at which the run began."""
-        return Grid(Grid(self.end_ns, self.step_ns).stamp(-self.steps), self.step_ns)
+    # --- rows of components ---
 
     @abstractmethod
-    def events(self) -> list[SignalEvent]:
-        """Return the jumps of signals, in the order of time."""
+    def _timed_rows(self, channel: Channel) -> TimedRows:
+        """Return the instants of a component's rows [ns], and the rows; both read-only."""
 
-    @abstractmethod
-    def substeps(self) -> list[Substep]:
-        """Return the substeps of loops, in the order of where they begin."""
+    def rows(self, component: str) -> Matrix:
+        """Return all rows of a component: applied inputs, then outputs; shape (N, width).
 
-    def blocks(
-        self, component: str, *, first_ns: int | None = None, last_ns: int | None = None
-    ) -> Iterator[tuple[Nanoseconds, Matrix]]:
-        """Yield times and rows of a component in order of time, some at a time.
-
-        With bounds [ns], both included, only the rows between them.
+        They are read-only.
 
         Raises
         ------
         UnknownSignalError
             If there is no such component; names the nearest.
+        LogError
+            If a file is damaged.
         """
-        whole = self.time_ns(component), self.rows(component)
-        yield from blocks_within(iter([whole]), first_ns, last_ns)
+        return self._timed_rows(find_channel(self.channels, component, source=self.label))[1]
 
-    def blocks_of(
-        self,
-        components: Sequence[str],
-        *,
-        first_ns: int | None = None,
-        last_ns: int | None = None,
-    ) -> Iterator[tuple[str, Nanoseconds, Matrix]]:
-        """Yield names, times and rows of components as they come, each in order of time.
+    def columns(self, component: str, columns: slice) -> Matrix:
+        """Return some columns of :meth:`rows`."""
+        return self.rows(component)[:, columns]
+
+    def time_ns(self, component: str) -> Nanoseconds:
+        """Return the instants of a component's rows, shape (N,) [ns]; read-only.
 
         Raises
         ------
         UnknownSignalError
             If there is no such component; names the nearest.
+        LogError
+            If a file is damaged.
         """
-        for name in components:
-            for times, rows in self.blocks(name, first_ns=first_ns, last_ns=last_ns):
-                yield name, times, rows
+        return self._timed_rows(find_channel(self.channels, component, source=self.label))[0]
 
-    def load(self, *components: str) -> None:
-        """Read several components at once, where they are not in memory yet."""
+    def time(self, name: str) -> Vector:
+        """Return the instants of a signal's or component's rows, shape (N,) [s].
+
+        Raises
+        ------
+        UnknownSignalError
+            If there is no such component, signal or element; names the nearest.
+        """
+        if isinstance(name, str) and "." in name:
+            port = find_signal(self.channels, name, source=self.label)
+            return self.time_ns(port.channel.name) / 1e9
+        return self.time_ns(name) / 1e9
 
     @property
     def t(self) -> Vector:
@@ -123,6 +194,132 @@ class RecordedRun(RecordedSignals):
             return np.empty(0)
         fastest = min(self.channels.values(), key=lambda channel: channel.period)
         return self.time(fastest.name)
+
+    def blocks(
+        self, component: str, *, first_ns: int | None = None, last_ns: int | None = None
+    ) -> Iterator[TimedRows]:
+        """Yield times and rows of a component in order of time; of a long log some at a time.
+
+        Nothing is kept: the memory that this takes does not grow with a log.
+
+        Parameters
+        ----------
+        component : str
+        first_ns, last_ns : int, optional
+            Only rows in ``first_ns <= time <= last_ns`` [ns].
+
+        Raises
+        ------
+        UnknownSignalError
+            If there is no such component; names the nearest.
+        LogError
+            If a file is damaged.
+        """
+        for _, times, rows in self.blocks_of([component], first_ns=first_ns, last_ns=last_ns):
+            yield times, rows
+
+    def blocks_of(
+        self,
+        components: Sequence[str],
+        *,
+        first_ns: int | None = None,
+        last_ns: int | None = None,
+    ) -> Iterator[tuple[str, Nanoseconds, Matrix]]:
+        """Yield names, times and rows of components as they come, each in order of time.
+
+        Of each there is a block at least, which may have no rows.
+
+        Raises
+        ------
+        UnknownSignalError
+            If there is no such component; names the nearest.
+        LogError
+            If a file is damaged.
+        """
+        for name in components:
+            channel = find_channel(self.channels, name, source=self.label)
+            yield name, *rows_within(*self._timed_rows(channel), first_ns, last_ns)
+
+    def load(self, *components: str) -> None:
+        """Read several components at once, where they are not in memory yet."""
+
+    # --- what the run was, and how it ended ---
+
+    @property
+    def partial(self) -> PartialRecord | None:
+        """What was recorded of what the run computed; None: all signals at all of their steps.
+
+        Rows of a span of time may be missing all the same: that says ``status``.
+        """
+        return partial_of(self.channels)
+
+    @property
+    def grid(self) -> Grid:
+        """The communication points: number 0 is that at which the run began."""
+        return Grid(Grid(self.end_ns, self.step_ns).stamp(-self.steps), self.step_ns)
+
+    @property
+    def reason(self) -> str:
+        """The stop reason; empty where the run came to its end."""
+        return ""
+
+    @property
+    def results(self) -> Mapping[str, Any]:
+        """What was recorded of the end of the run."""
+        return {}
+
+    @property
+    def metadata(self) -> Mapping[str, Any]:
+        """What was recorded beside the signals."""
+        return {}
+
+    @property
+    def attachments(self) -> tuple[str, ...]:
+        """Names of the attachments."""
+        return ()
+
+    @abstractmethod
+    def attachment(self, name: str) -> bytes:
+        """Return the content of an attachment."""
+
+    def messages(self) -> list[RunMessage]:
+        """Return the messages of the run and its components, in the order of time."""
+        return []
+
+    def events(self) -> list[SignalEvent]:
+        """Return the jumps of signals, in the order of time."""
+        return []
+
+    def substeps(self) -> list[Substep]:
+        """Return the substeps of loops, in the order of where they begin."""
+        return []
+
+    @property
+    def warnings(self) -> list[RunMessage]:
+        """What the run warned of, in the order of time: each text of a component once.
+
+        >>> import cosim
+        >>> for warning in cosim.run("pair").warnings:
+        ...     print(warning.time_ns, warning.source, warning.text)
+
+        They are messages of level ``warning``, and of components also ``error``; at most 1000,
+        :meth:`messages` has all of them.
+
+        Raises
+        ------
+        LogError
+            If they cannot be read.
+        """
+        entries = self.results.get(WARNINGS)
+        if entries is None:  # the run has not come to its end, or an earlier version recorded it
+            return list(DistinctWarnings(self.messages()))
+        try:
+            return [_read_warning(*entry) for entry in entries]
+        except TypeError as error:
+            raise LogError(
+                f"{self.label}: {WARNINGS} of the results cannot be read: expected a list of "
+                f"[time_ns, level, source, text], got {quoted(entries)}"
+            ) from error
 
     @property
     def parameters(self) -> Mapping[str, Mapping[str, Any]]:
@@ -177,13 +374,6 @@ class RecordedRun(RecordedSignals):
         # of a layer above this one, which knows scenarios
         return import_module("cosim.report.summary").summarize(self)
 
-    def _repr_html_(self) -> str:
-        """Return a table of the signals; of a run of a scenario, what the tables after it show."""
-        page = super()._repr_html_()
-        if "scenario" in self.metadata.get("cosim.run", {}):
-            page += import_module("cosim.report.tables.run").html_summary(self)
-        return page
-
     def window(self, t0: float | None = None, t1: float | None = None) -> RecordedWindow:
         """Return the part of the run in ``t0 <= t <= t1``; rows are read when asked for.
 
@@ -217,7 +407,7 @@ class RecordedRun(RecordedSignals):
         LogError
             If a signal is unknown, or the file is damaged.
         """
-        from cosim.core.recorded.frames import to_pandas  # few need it
+        from cosim.core.recorded.joined_rows import to_pandas  # few need it
 
         return to_pandas(self, signals)
 
@@ -233,7 +423,7 @@ class RecordedRun(RecordedSignals):
         LogError
             If a signal is unknown, or the file is damaged.
         """
-        from cosim.core.recorded.frames import to_polars  # few need it
+        from cosim.core.recorded.joined_rows import to_polars  # few need it
 
         return to_polars(self, signals)
 
@@ -249,9 +439,44 @@ class RecordedRun(RecordedSignals):
         LogError
             If a signal is unknown, or the file is damaged.
         """
-        from cosim.core.recorded.frames import to_xarray  # few need it
+        from cosim.core.recorded.joined_rows import to_xarray  # few need it
 
         return to_xarray(self, signals)
+
+    def __repr__(self) -> str:
+        return f"<{self.label}: {self._overview()}>"
+
+    def _repr_html_(self) -> str:
+        """Return tables for notebooks: the signals; of a scenario's run, what is shown after it."""
+        names = ("signal", "size", "unit", "role", "variability", "description")
+        rows = []
+        for name, signal in self.signals.items():
+            about = (signal.unit_text, signal.role, signal.variability, signal.description)
+            rows.append((name, str(signal.size), *about))
+        page = html_table(f"{self.label}: {self._overview()}", names, rows)
+        if "scenario" in self.metadata.get("cosim.run", {}):
+            page += import_module("cosim.report.tables.run").html_summary(self)
+        return page
+
+    def _overview(self) -> str:
+        end = self.end_ns / 1e9
+        overview = f"{self.status}, {self.steps} steps to {end:g} s"
+        try:
+            count = len(self.warnings)
+            warned = f", {count} warning{'' if count == 1 else 's'}" if count else ""
+        except LogError:  # a debugger shows the run all the same
+            warned = ", warnings that cannot be read"
+        partial = self.partial
+        if partial is not None:
+            return f"{overview}, partial: {partial.text(self.channels)}{warned}"
+        return f"{overview}, {len(self)} signals of {len(self.channels)} components{warned}"
+
+
+def _read_warning(time_ns: int, level: MessageLevel, source: str, text: str) -> RunMessage:
+    """Return a warning as it was recorded; raise TypeError if it is none."""
+    if not isinstance(time_ns, int) or not all(isinstance(t, str) for t in (level, source, text)):
+        raise TypeError
+    return RunMessage(time_ns, level, source, text)
 
 
 def _read_table(label: str, text: str) -> dict[str, Any]:
@@ -305,21 +530,13 @@ def _within_range(t: float) -> float:
     return min(max(float(t), -_LATEST), _LATEST)
 
 
-def blocks_within(
-    blocks: Iterator[tuple[Nanoseconds, Matrix]], first_ns: int | None, last_ns: int | None
-) -> Iterator[tuple[Nanoseconds, Matrix]]:
-    """Yield the rows of blocks in ``first_ns <= time <= last_ns``; None: without that bound.
-
-    There is a block at least, which may have no rows; none is read after the last row.
-    """
-    for time_ns, rows in blocks:
-        begin = 0 if first_ns is None else int(np.searchsorted(time_ns, first_ns))
-        end = len(time_ns)
-        if last_ns is not None:
-            end = int(np.searchsorted(time_ns, last_ns, side="right"))
-        yield time_ns[begin:end], rows[begin:end]
-        if end < len(time_ns):
-            return
+def rows_within(
+    time_ns: Nanoseconds, rows: Matrix, first_ns: int | None, last_ns: int | None
+) -> TimedRows:
+    """Return the rows in ``first_ns <= time <= last_ns``; None: without that bound."""
+    begin = 0 if first_ns is None else int(np.searchsorted(time_ns, first_ns))
+    end = len(time_ns) if last_ns is None else int(np.searchsorted(time_ns, last_ns, side="right"))
+    return time_ns[begin:end], rows[begin:end]
 
 
 @final
@@ -339,7 +556,7 @@ class RecordedWindow(RecordedRun):
         self._run = run
         self._first_ns = first_ns
         self._last_ns = last_ns
-        self._rows: dict[str, tuple[Nanoseconds, Matrix]] = {}
+        self._rows: dict[str, TimedRows] = {}
 
     @property
     def label(self) -> str:
@@ -413,33 +630,17 @@ class RecordedWindow(RecordedRun):
         """The last communication point here [ns]."""
         return Grid(self._run.end_ns, self.step_ns).stamp(-self._steps_left_out)
 
-    def rows(self, component: str) -> Matrix:
-        """Return the rows of a component here: applied inputs, then outputs; shape (N, width)."""
-        return self._times_and_rows(component)[1]
-
-    def time_ns(self, component: str) -> Nanoseconds:
-        """Return the instants of a component's rows here, shape (N,) [ns]."""
-        return self._times_and_rows(component)[0]
-
-    def _times_and_rows(self, component: str) -> tuple[Nanoseconds, Matrix]:
-        find_channel(self.channels, component, source=self.label)
-        if component not in self._rows:
-            blocks = list(self.blocks(component))
+    def _timed_rows(self, channel: Channel) -> TimedRows:
+        if channel.name not in self._rows:
+            blocks = list(self.blocks(channel.name))
             time_ns, rows = blocks[0]
             if len(blocks) > 1:
                 time_ns = np.concatenate([times for times, _ in blocks])
                 rows = np.concatenate([part for _, part in blocks])
             time_ns.flags.writeable = False
             rows.flags.writeable = False
-            self._rows[component] = time_ns, rows
-        return self._rows[component]
-
-    def blocks(
-        self, component: str, *, first_ns: int | None = None, last_ns: int | None = None
-    ) -> Iterator[tuple[Nanoseconds, Matrix]]:
-        """Yield times and rows of a component here, in order of time, some at a time."""
-        first, last = self._bounds(first_ns, last_ns)
-        return self._run.blocks(component, first_ns=first, last_ns=last)
+            self._rows[channel.name] = time_ns, rows
+        return self._rows[channel.name]
 
     def blocks_of(
         self,
@@ -449,19 +650,16 @@ class RecordedWindow(RecordedRun):
         last_ns: int | None = None,
     ) -> Iterator[tuple[str, Nanoseconds, Matrix]]:
         """Yield names, times and rows of components here as they come, each in order of time."""
-        first, last = self._bounds(first_ns, last_ns)
-        return self._run.blocks_of(components, first_ns=first, last_ns=last)
-
-    def _bounds(self, first_ns: int | None, last_ns: int | None) -> tuple[int | None, int | None]:
-        """Return the narrower ones of the bounds here and of others."""
         firsts = [bound for bound in (self._first_ns, first_ns) if bound is not None]
         lasts = [bound for bound in (self._last_ns, last_ns) if bound is not None]
-        return max(firsts, default=None), min(lasts, default=None)
+        return self._run.blocks_of(
+            components, first_ns=max(firsts, default=None), last_ns=min(lasts, default=None)
+        )
 
     def load(self, *components: str) -> None:
         """Read the rows of several components here; none named: all."""
         for name in components or tuple(self.channels):
-            self._times_and_rows(name)
+            self.rows(name)
 
     def messages(self) -> list[RunMessage]:
         """Return the messages here, in the order of time."""

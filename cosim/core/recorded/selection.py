@@ -11,12 +11,13 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from cosim.core.port import Port, split_element
-from cosim.core.recorded.partial import partial_of
-from cosim.core.recorded.signals import RecordedPort, find_signal
+from cosim.core.recorded.partial import RecordSelection, partial_of
+from cosim.core.recorded.signals import RecordedPort, find_signal, own_columns
 from cosim.core.signals import Channel, Signal
-from cosim.errors import UnknownSignalError, UsageError, nearest, quoted
+from cosim.errors import UnknownSignalError, UsageError, listing, nearest, quoted
 
 _COMMA_OUTSIDE_BRACKETS = re.compile(r",(?![^\[]*\])")
 _WILDCARDS = {"*": ".*", "?": "."}
@@ -107,15 +108,8 @@ def _names(channels: Mapping[str, Channel]) -> dict[str, RecordedPort]:
     for component, channel in channels.items():
         for signal in channel.signals:
             port = Port(component, signal.name)
-            names[str(port)] = _whole(channel, signal)
+            names[str(port)] = RecordedPort(channel, signal, own_columns(channel, signal))
     return names
-
-
-def _whole(channel: Channel, signal: Signal) -> RecordedPort:
-    columns = channel.signal_columns[signal.name]
-    return RecordedPort(
-        channel, signal, slice(columns.start - channel.start, columns.stop - channel.start)
-    )
 
 
 def _matching(
@@ -166,7 +160,7 @@ def selected_columns(selection: Mapping[str, RecordedPort]) -> tuple[SelectedCol
     columns: dict[tuple[str, int], SelectedColumn] = {}
     for port in selection.values():
         component = port.channel.name
-        first = port.channel.signal_columns[port.signal.name].start - port.channel.start
+        first = own_columns(port.channel, port.signal).start
         described = port.described
         for column in range(port.columns.start, port.columns.stop):
             name = f"{component}.{described.element(column - first)}"
@@ -181,3 +175,51 @@ def selected_columns(selection: Mapping[str, RecordedPort]) -> tuple[SelectedCol
                 "signals"
             )
     return tuple(columns.values())
+
+
+def chosen_signals(
+    channels: Mapping[str, Channel],
+    selection: RecordSelection,
+    *,
+    beside: Mapping[str, Channel] = MappingProxyType({}),
+) -> dict[str, list[str]]:
+    """Return the signals of a run that it records, by component.
+
+    Parameters
+    ----------
+    channels : mapping of component name to Channel
+        Of the run.
+    selection : RecordSelection
+    beside : mapping of component name to Channel
+        Components that the run has not, or not all signals of, but may be named: of a replay, those
+        of its log.
+
+    Raises
+    ------
+    UnknownSignalError
+        If a pattern chooses nothing; names the nearest.
+    UsageError
+        If one chooses elements of a signal, or only what the run has not.
+    """
+    if selection.signals is None:
+        return {name: [signal.name for signal in c.signals] for name, c in channels.items()}
+    known = {**beside, **channels}
+    for name, channel in channels.items():
+        if name in beside and beside[name].by_name.keys() > channel.by_name.keys():
+            known[name] = beside[name]
+    chosen: dict[str, list[str]] = {}
+    for name, port in select_signals(known, selection.signals, source="the run").items():
+        if port.size != port.signal.size:
+            raise UsageError(
+                f"expected whole signals, such as '{port.channel.name}.{port.signal.name}', got "
+                f"{name!r}, a part of a signal"
+            )
+        own = channels.get(port.channel.name)
+        if own is not None and port.signal.name in own.by_name:
+            chosen.setdefault(own.name, []).append(port.signal.name)
+    if not chosen:
+        raise UsageError(
+            f"{selection} matches no signal of this run's components: {listing([*channels])}; use "
+            "one of these, or record.signals = ['*'] for all"
+        )
+    return chosen

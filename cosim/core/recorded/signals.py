@@ -1,21 +1,15 @@
-"""Recorded signals by name, in memory and from file alike."""
+"""What is found of a run by name: signals and elements of them; its messages and warnings."""
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from types import MappingProxyType
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from cosim.arrays import Matrix, Nanoseconds, Vector, as_columns
 from cosim.core.port import Port
-from cosim.core.recorded.partial import PartialRecord, partial_of
-from cosim.core.recording import MessageLevel, SignalNames
+from cosim.core.recorded.partial import partial_of
+from cosim.core.recording import MessageLevel
 from cosim.core.signals import Channel, Signal
-from cosim.errors import GraphError, LogError, UnknownSignalError, nearest, quoted
+from cosim.errors import GraphError, UnknownSignalError, nearest
 from cosim.units import Unit
 
 WARNINGS: Final = "warnings"  # among the results of a run
@@ -52,8 +46,7 @@ class RecordedPort(NamedTuple):
     @property
     def measures(self) -> tuple[Unit, ...]:
         """The units of the elements."""
-        start = self.channel.start + self.columns.start
-        first = start - self.channel.signal_columns[self.signal.name].start
+        first = self.columns.start - own_columns(self.channel, self.signal).start
         return self.signal.measures_of(slice(first, first + self.size))
 
 
@@ -152,16 +145,14 @@ def find_signal(
             f"{suggestion}"
         )
     meant, elements = match
-    begin = channel.signal_columns[meant.name].start - channel.start
-    columns = slice(begin + elements.start, begin + elements.stop)
-    return RecordedPort(channel, meant, columns)
+    begin = own_columns(channel, meant).start
+    return RecordedPort(channel, meant, slice(begin + elements.start, begin + elements.stop))
 
 
-def _read_warning(time_ns: int, level: MessageLevel, source: str, text: str) -> RunMessage:
-    """Return a warning as it was recorded; raise TypeError if it is none."""
-    if not isinstance(time_ns, int) or not all(isinstance(t, str) for t in (level, source, text)):
-        raise TypeError
-    return RunMessage(time_ns, level, source, text)
+def own_columns(channel: Channel, signal: Signal) -> slice:
+    """Return the columns of a signal in the rows of its component."""
+    columns = channel.signal_columns[signal.name]
+    return slice(columns.start - channel.start, columns.stop - channel.start)
 
 
 def find_channel(channels: Mapping[str, Channel], component: str, *, source: str) -> Channel:
@@ -182,219 +173,3 @@ def find_channel(channels: Mapping[str, Channel], component: str, *, source: str
         suggestion = nearest(component, channels)
         raise UnknownSignalError(f"{source} has no component {component!r}; {suggestion}")
     return channels[component]
-
-
-def _component_of(signal: str | Port) -> str:
-    port = signal if isinstance(signal, Port) else Port.parse(signal)
-    return port.component
-
-
-class RecordedSignals(Mapping[str, NDArray[np.float64]]):
-    """The signals of a finished run by name, ``component.signal``; arrays are read-only.
-
-    Iteration, length, ``keys``, ``values`` and ``items`` are of whole signals; elements of one, or
-    several side by side, can be asked for too: ``run["plant.x_a[1]"]``, ``run[["u.y", "y.y"]]``.
-    """
-
-    @property
-    @abstractmethod
-    def label(self) -> str:
-        """What was recorded to, for messages."""
-
-    @property
-    @abstractmethod
-    def channels(self) -> Mapping[str, Channel]:
-        """The recorded components by name, in the order of the row."""
-
-    @property
-    def partial(self) -> PartialRecord | None:
-        """What was recorded of what the run computed; None: all signals at all of their steps.
-
-        Rows of a span of time may be missing all the same: that says ``status``.
-        """
-        return partial_of(self.channels)
-
-    @property
-    @abstractmethod
-    def status(self) -> str:
-        """How the run ended."""
-
-    @property
-    @abstractmethod
-    def reason(self) -> str:
-        """The stop reason; empty where the run came to its end."""
-
-    @property
-    @abstractmethod
-    def results(self) -> Mapping[str, Any]:
-        """What was recorded of the end of the run."""
-
-    @abstractmethod
-    def messages(self) -> list[RunMessage]:
-        """Return the messages of the run and its components, in the order of time."""
-
-    @property
-    def warnings(self) -> list[RunMessage]:
-        """What the run warned of, in the order of time: each text of a component once.
-
-        >>> import cosim
-        >>> for warning in cosim.run("pair").warnings:
-        ...     print(warning.time_ns, warning.source, warning.text)
-
-        They are messages of level ``warning``, and of components also ``error``; at most 1000,
-        :meth:`messages` has all of them.
-
-        Raises
-        ------
-        LogError
-            If they cannot be read.
-        """
-        entries = self.results.get(WARNINGS)
-        if entries is None:  # the run has not come to its end, or an earlier version recorded it
-            return list(DistinctWarnings(self.messages()))
-        try:
-            return [_read_warning(*entry) for entry in entries]
-        except TypeError as error:
-            raise LogError(
-                f"{self.label}: {WARNINGS} of the results cannot be read: expected a list of "
-                f"[time_ns, level, source, text], got {quoted(entries)}"
-            ) from error
-
-    @property
-    @abstractmethod
-    def steps(self) -> int:
-        """Number of the last recorded communication step."""
-
-    @property
-    @abstractmethod
-    def end_ns(self) -> int:
-        """The last recorded instant [ns]."""
-
-    @abstractmethod
-    def rows(self, component: str) -> Matrix:
-        """Return all rows of a component: applied inputs, then outputs; shape (N, width)."""
-
-    def columns(self, component: str, columns: slice) -> Matrix:
-        """Return some columns of :meth:`rows`."""
-        return self.rows(component)[:, columns]
-
-    @abstractmethod
-    def time_ns(self, component: str) -> Nanoseconds:
-        """Return the instants of a component's rows, shape (N,) [ns]."""
-
-    def __getitem__(self, signal: SignalNames) -> NDArray[np.float64]:
-        """Return a signal at every recorded row: shape (N,) for one element, else (N, size).
-
-        Several signals of the same instants are stacked: shape (N, sum of their sizes).
-
-        Raises
-        ------
-        UnknownSignalError
-            If there is no such component, signal or element; names the nearest.
-        """
-        if not isinstance(signal, str | Port):
-            return self._stacked(signal)
-        port = find_signal(self.channels, signal, source=self.label)
-        values = self.columns(port.channel.name, port.columns)
-        return values[:, 0] if port.size == 1 else values
-
-    def _stacked(self, signals: Sequence[str | Port]) -> Matrix:
-        """Return several signals of the same instants side by side.
-
-        Raises
-        ------
-        LogError
-            If there is none, if one is unknown, or if they have different instants.
-        """
-        is_list = isinstance(signals, Sequence) and len(signals) > 0
-        if not is_list or not all(isinstance(signal, str | Port) for signal in signals):
-            raise LogError(
-                f"{self.label}: expected a signal name, or a list of names, got {signals!r}"
-            )
-        columns = [as_columns(self[signal]) for signal in signals]
-        first = signals[0]
-        times = self.time_ns(_component_of(first))
-        for signal in signals[1:]:
-            other_times = self.time_ns(_component_of(signal))
-            if not np.array_equal(times, other_times):
-                raise LogError(
-                    f"{self.label}: expected signals with the same instants, got '{first}' with "
-                    f"{len(times)} rows and '{signal}' with {len(other_times)}; read each with "
-                    "its own time()"
-                )
-        values = np.hstack(columns)
-        values.flags.writeable = False
-        return values
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.signals)
-
-    def __len__(self) -> int:
-        return sum(len(channel.signals) for channel in self.channels.values())
-
-    def __contains__(self, signal: object) -> bool:
-        if not isinstance(signal, str | Port):
-            return False
-        try:
-            find_signal(self.channels, signal, source=self.label)
-        except UnknownSignalError:
-            return False
-        return True
-
-    # as for arrays, equality of all values is asked for by name: cosim.diff
-    __eq__ = object.__eq__
-    __hash__ = object.__hash__
-
-    @property
-    def signals(self) -> Mapping[str, Signal]:
-        """What is known of every signal, by its name ``component.signal``: size, unit, role, ..."""
-        declared = {}
-        for component, channel in self.channels.items():
-            for signal in channel.signals:
-                declared[f"{component}.{signal.name}"] = channel.described(signal.name)
-        return MappingProxyType(declared)
-
-    def time(self, name: str) -> Vector:
-        """Return the instants of a signal's or component's rows, shape (N,) [s].
-
-        Raises
-        ------
-        UnknownSignalError
-            If there is no such component, signal or element; names the nearest.
-        """
-        if isinstance(name, str) and "." in name:
-            port = find_signal(self.channels, name, source=self.label)
-            return self.time_ns(port.channel.name) / 1e9
-        return self.time_ns(name) / 1e9
-
-    def __repr__(self) -> str:
-        return f"<{self.label}: {self._overview()}>"
-
-    def _repr_html_(self) -> str:
-        """Return a table of the signals for notebooks."""
-        names = ("signal", "size", "unit", "role", "variability", "description")
-        rows = [
-            (
-                name,
-                str(signal.size),
-                signal.unit_text,
-                signal.role,
-                signal.variability,
-                signal.description,
-            )
-            for name, signal in self.signals.items()
-        ]
-        return html_table(f"{self.label}: {self._overview()}", names, rows)
-
-    def _overview(self) -> str:
-        end = self.end_ns / 1e9
-        overview = f"{self.status}, {self.steps} steps to {end:g} s"
-        try:
-            count = len(self.warnings)
-            warned = f", {count} warning{'' if count == 1 else 's'}" if count else ""
-        except LogError:  # a debugger shows the run all the same
-            warned = ", warnings that cannot be read"
-        partial = self.partial
-        if partial is not None:
-            return f"{overview}, partial: {partial.text(self.channels)}{warned}"
-        return f"{overview}, {len(self)} signals of {len(self.channels)} components{warned}"

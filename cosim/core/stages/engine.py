@@ -133,7 +133,7 @@ class Engine:
         """
         rows: Matrix | None = None
         if self._keeper is not None:
-            rows = self._keeper.memory_for(block, self._steps - block.index)
+            rows = self._keeper(block, self._steps - block.index)
         if rows is None:
             rows = self._rows[: block.steps + 1]
         rows[0] = first
@@ -178,7 +178,7 @@ class Engine:
         self._forget_substeps()
 
     def rows_under_way(self) -> tuple[Block, Matrix] | None:
-        """Return the rows of a block that are completed; see :class:`.recording.Following`."""
+        """Return the rows of a block that are completed; see :class:`.Recorder`."""
         if self._current is None:
             return None
         block, signals, reached = self._current

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.contracts import Stopped
-from cosim.core.recording import CompleteRecording
+from cosim.core.recorded.run import RecordedRun
 from cosim.core.stages.input_elements import InputElements
 from cosim.core.stages.member import Member
 from cosim.core.structure.feedthrough import Edge
@@ -74,7 +74,7 @@ class TornInputs:
         """The names of the elements."""
         return self._elements.labels
 
-    def take(self, recording: CompleteRecording) -> None:
+    def take(self, recording: RecordedRun) -> None:
         """Take the values that a run has recorded from now on, and solve for nothing.
 
         Where it did not record every row of them, they are solved for.

@@ -14,9 +14,9 @@ from cosim.core.clock import Clock, start_nanoseconds
 from cosim.core.connections import Connection
 from cosim.core.contracts import Component
 from cosim.core.graph import Graph
-from cosim.core.partial_recorder import chosen_signals
 from cosim.core.port import Port
 from cosim.core.recorded.partial import declared_channels
+from cosim.core.recorded.selection import chosen_signals
 from cosim.core.signals import SAMPLE_TIMES, Channel, Interface
 from cosim.core.stages.looking_ahead import bound_to_steps
 from cosim.core.stepping.actions import AT_CONDITION, Action, ConditionalAction, TimedAction

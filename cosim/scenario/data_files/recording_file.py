@@ -6,15 +6,14 @@ import re
 from collections import defaultdict
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final, NamedTuple, final
+from typing import Final, final
 
 import numpy as np
 
-from cosim.arrays import Mask, Matrix, Nanoseconds, read_only
+from cosim.arrays import Mask, read_only
 from cosim.blocks.field_data import FieldSignal
 from cosim.core.recorded.run import RecordedRun
-from cosim.core.recorded.signals import RunMessage, find_channel
-from cosim.core.recording import SignalEvent, Substep
+from cosim.core.recording import TimedRows
 from cosim.core.signals import Channel, Interface, Signal
 from cosim.errors import LogError, UsageError, warn
 from cosim.files import expanded, file_type
@@ -66,13 +65,6 @@ def open_recording(path: str | Path) -> RecordedRun:
             return open_log(path)
 
 
-class _Samples(NamedTuple):
-    """The rows of a component."""
-
-    time_ns: Nanoseconds
-    rows: Matrix
-
-
 @final
 class FileRun(RecordedRun):
     """Samples from a file of another tool: a run without a scenario, events or messages.
@@ -87,7 +79,7 @@ class FileRun(RecordedRun):
     """
 
     def __init__(
-        self, label: str, channels: Mapping[str, Channel], samples: Mapping[str, _Samples]
+        self, label: str, channels: Mapping[str, Channel], samples: Mapping[str, TimedRows]
     ) -> None:
         self._label = label
         self._channels = channels
@@ -106,29 +98,9 @@ class FileRun(RecordedRun):
         return "complete"
 
     @property
-    def reason(self) -> str:
-        """Nothing stopped it."""
-        return ""
-
-    @property
     def channels(self) -> Mapping[str, Channel]:
         """The components by name, in the order of the file."""
         return self._channels
-
-    @property
-    def results(self) -> Mapping[str, Any]:
-        """None are known."""
-        return {}
-
-    @property
-    def metadata(self) -> Mapping[str, Any]:
-        """None is known."""
-        return {}
-
-    @property
-    def attachments(self) -> tuple[str, ...]:
-        """There are none."""
-        return ()
 
     def attachment(self, name: str) -> bytes:
         """Refuse: there is none.
@@ -160,27 +132,8 @@ class FileRun(RecordedRun):
         """The last instant [ns]."""
         return max((int(times[-1]) for times, _ in self._samples.values()), default=0)
 
-    def messages(self) -> list[RunMessage]:
-        """Return nothing."""
-        return []
-
-    def events(self) -> list[SignalEvent]:
-        """Return nothing."""
-        return []
-
-    def substeps(self) -> list[Substep]:
-        """Return nothing."""
-        return []
-
-    def rows(self, component: str) -> Matrix:
-        """Return all rows of a component, shape (N, width)."""
-        find_channel(self.channels, component, source=self.label)
-        return self._samples[component].rows
-
-    def time_ns(self, component: str) -> Nanoseconds:
-        """Return the instants of a component's rows, shape (N,) [ns]."""
-        find_channel(self.channels, component, source=self.label)
-        return self._samples[component].time_ns
+    def _timed_rows(self, channel: Channel) -> TimedRows:
+        return self._samples[channel.name]
 
 
 def _table(path: Path) -> FileRun:
@@ -197,7 +150,7 @@ def _table(path: Path) -> FileRun:
         component, dot, _ = signal.name.partition(".")
         components[component if dot else TABLE].append(signal)
     channels: dict[str, Channel] = {}
-    samples: dict[str, _Samples] = {}
+    samples: dict[str, TimedRows] = {}
     start = 0
     for name, own in components.items():
         signals = [
@@ -212,7 +165,7 @@ def _table(path: Path) -> FileRun:
         rows = np.hstack([signal.values for signal in own])
         is_measured = ~np.isnan(rows).all(axis=1)
         channels[name] = Channel(name, Interface((), tuple(signals)), start)
-        samples[name] = _Samples(time_ns[is_measured], read_only(rows[is_measured]))
+        samples[name] = time_ns[is_measured], read_only(rows[is_measured])
         start += rows.shape[1]
     return FileRun(str(path), channels, samples)
 
@@ -227,7 +180,7 @@ def _messages(path: Path) -> FileRun:
         raise LogError(f"{path}: expected messages with numeric fields, got none")
     found = dict(zip(names, read_fields(path, names), strict=True))
     channels: dict[str, Channel] = {}
-    samples: dict[str, _Samples] = {}
+    samples: dict[str, TimedRows] = {}
     start = 0
     for topic, fields in topics.items():
         if not fields:
@@ -244,6 +197,6 @@ def _messages(path: Path) -> FileRun:
             for each in own
         ]
         channels[topic] = Channel(topic, Interface((), tuple(signals)), start)
-        samples[topic] = _Samples(own[0].time_ns, read_only(rows))
+        samples[topic] = own[0].time_ns, read_only(rows)
         start += rows.shape[1]
     return FileRun(str(path), channels, samples)

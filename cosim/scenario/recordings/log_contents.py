@@ -17,10 +17,10 @@ import numpy as np
 
 from cosim.core.connections import Connection
 from cosim.core.graph import Graph
-from cosim.core.partial_recorder import chosen_signals
 from cosim.core.port import Port, named_ports
 from cosim.core.recorded.partial import partial_layout
 from cosim.core.recorded.run import SCENARIO_FILE
+from cosim.core.recorded.selection import chosen_signals
 from cosim.core.recorded.signals import RecordedPort, find_signal
 from cosim.core.signals import Channel
 from cosim.documents import plain

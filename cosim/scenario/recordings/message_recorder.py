@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from math import ceil
 from types import TracebackType
@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Final, final
 from cosim.arrays import Matrix, Vector
 from cosim.core.conditions import until_text
 from cosim.core.contracts import Block, Stopped
-from cosim.core.passing_recorders import PassingRecorder
 from cosim.core.recorded.signals import WARNINGS, DistinctWarnings, RunMessage
-from cosim.core.recorders import close, end_of_run, error_text
+from cosim.core.recorders import Tee, close, end_of_run, error_text
 from cosim.core.recording import INNER_STEP, SHARED_INNER_STEP, MessageLevel, Plan, Recorder
 from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
 from cosim.documents import plain
@@ -36,11 +35,27 @@ _ENDED: Final = (Interrupted, KeyboardInterrupt, SystemExit, GeneratorExit)  # f
 
 
 @final
-class MessageRecorder(PassingRecorder):
-    """Records the messages of a run and of its FMUs beside its signals, with any recorder."""
+class MessageRecorder(Tee):
+    """Records the messages of a run and of its FMUs beside its signals, with any recorder.
 
-    def __init__(self, recorder: Recorder, experiment: Experiment) -> None:
-        super().__init__(recorder)
+    Parameters
+    ----------
+    recorder : Recorder
+    experiment : Experiment
+    began, reached : callable, optional
+        As of :class:`.Tee`; what ``reached`` raises ends the run, cleanly.
+    """
+
+    def __init__(
+        self,
+        recorder: Recorder,
+        experiment: Experiment,
+        *,
+        began: Callable[[], None] | None = None,
+        reached: Callable[[Block, Matrix], None] | None = None,
+    ) -> None:
+        super().__init__(recorder, began=began, reached=reached)
+        self._recorder = recorder
         self._experiment = experiment
         self._reached_ns = experiment.clock.start_ns
         self._ahead: dict[str, list[Message]] = {}  # by FMU, of instants that are not reached yet
@@ -91,7 +106,7 @@ class MessageRecorder(PassingRecorder):
     # --- the run ---
 
     def write(self, block: Block, signals: Matrix) -> None:
-        """Record the messages of the block, and pass it on."""
+        """Record the messages of the block, pass it on, then report."""
         if self._last is None:
             self._record_initial_states(signals[0])
         self._check_inputs(block, signals)
@@ -101,6 +116,8 @@ class MessageRecorder(PassingRecorder):
         self._recorder.write(block, signals)
         self._last = signals[-1].copy()
         self._assessor.take(block, signals)
+        if self._reached is not None:
+            self._reached(block, signals)
 
     def _record_initial_states(self, row: Vector) -> None:
         """Record which initial states are others than those that the scenario gives."""

@@ -18,8 +18,7 @@ from typing import Final, TypeGuard
 
 from cosim.core.port import Port
 from cosim.core.recorded.partial import declared_channels
-from cosim.core.recorded.run import SCENARIO_FILE
-from cosim.core.recording import CompleteRecording
+from cosim.core.recorded.run import SCENARIO_FILE, RecordedRun
 from cosim.errors import FmuError, LogError, UsageError, command, flag, listing, quoted
 from cosim.files import read_bounded
 from cosim.log import Log
@@ -46,7 +45,7 @@ _LARGE: Final = 2**25  # bytes of rows
 _SHA256: Final = re.compile(r"[0-9a-f]{64}")
 
 
-def is_large(source: CompleteRecording) -> TypeGuard[Log]:
+def is_large(source: RecordedRun) -> TypeGuard[Log]:
     """Return whether the rows of a log take much memory."""
     return isinstance(source, Log) and source.row_bytes > _LARGE
 
@@ -54,7 +53,7 @@ def is_large(source: CompleteRecording) -> TypeGuard[Log]:
 # --- its scenario ---
 
 
-def recorded_document(log: CompleteRecording) -> Document:
+def recorded_document(log: RecordedRun) -> Document:
     """Return the scenario of a log.
 
     Raises
@@ -76,7 +75,7 @@ def recorded_document(log: CompleteRecording) -> Document:
         raise LogError(f"{log.label}: its scenario cannot be understood: {error}") from error
 
 
-def _foreign_kinds(log: CompleteRecording) -> frozenset[str]:
+def _foreign_kinds(log: RecordedRun) -> frozenset[str]:
     """Return the kinds of a log that are not cosim's: those of its components of a user's class.
 
     The packages that declared them need not be installed where the log is read.
@@ -90,7 +89,7 @@ def _foreign_kinds(log: CompleteRecording) -> frozenset[str]:
     return frozenset(kinds.difference(KINDS))
 
 
-def recorded_stop(log: CompleteRecording) -> float:
+def recorded_stop(log: RecordedRun) -> float:
     """Return where the scenario of a log ends [s], which its run need not have reached.
 
     Raises
@@ -107,7 +106,7 @@ def recorded_stop(log: CompleteRecording) -> float:
 # --- its rows ---
 
 
-def check_rows(source: CompleteRecording) -> None:
+def check_rows(source: RecordedRun) -> None:
     """Check that a log has all rows from the start of its run to its end.
 
     Nothing can be computed without those before, and a replay goes on to the end.
@@ -153,7 +152,7 @@ def check_rows(source: CompleteRecording) -> None:
             )
 
 
-def load_rows(source: CompleteRecording, components: Sequence[str]) -> None:
+def load_rows(source: RecordedRun, components: Sequence[str]) -> None:
     """Read the rows of components in one pass over the file.
 
     Of a large log only those are read that share chunks with others: of them every part would take
@@ -169,7 +168,7 @@ def load_rows(source: CompleteRecording, components: Sequence[str]) -> None:
 
 
 def rerun_plants(
-    source: CompleteRecording,
+    source: RecordedRun,
     specs: Mapping[str, Kind],
     request: ReplayRequest,
     resources: ExitStack,
@@ -178,7 +177,7 @@ def rerun_plants(
 
     Parameters
     ----------
-    source : CompleteRecording
+    source : RecordedRun
     specs : mapping of component name to Kind
         All; the tables of FMUs say where each is, if not in the log.
     request : ReplayRequest
@@ -219,7 +218,7 @@ def rerun_plants(
     return again, copies
 
 
-def _recorded_fmu(source: CompleteRecording, name: str, path: str, folder: Path) -> RecordedFmu:
+def _recorded_fmu(source: RecordedRun, name: str, path: str, folder: Path) -> RecordedFmu:
     """Return a copy of the FMU of a component: that in the log, else the same in a file."""
     record = component_record(source, name)
     sha256 = record.sha256
@@ -250,7 +249,7 @@ def _recorded_fmu(source: CompleteRecording, name: str, path: str, folder: Path)
 
 
 def _fmus_found(
-    source: CompleteRecording, sha256: str, paths: Sequence[str]
+    source: RecordedRun, sha256: str, paths: Sequence[str]
 ) -> Iterator[tuple[str, bytes]]:
     """Yield the content of what may be an FMU, and where it is: in the log, or else in files."""
     attached = embedded_name(sha256)

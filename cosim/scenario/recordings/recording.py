@@ -18,11 +18,9 @@ from typing import TYPE_CHECKING, Final, Protocol
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block
 from cosim.core.master import run as run_graph
-from cosim.core.partial_recorder import PartialRecorder
-from cosim.core.passing_recorders import Watched
 from cosim.core.recorded.partial import RecordSelection
 from cosim.core.recorded.signals import RunMessage, warning_texts
-from cosim.core.recorders import Memory
+from cosim.core.recorders import Memory, Slice
 from cosim.core.recording import Recorder
 from cosim.errors import Interrupted, LogError, RunError, UsageError, flag, option, warn
 from cosim.files import file_type
@@ -235,7 +233,7 @@ def chosen_of(experiment: Experiment, recorder: Recorder) -> Recorder:
     selection = experiment.scenario.file.record.selection
     if selection == RecordSelection():
         return recorder
-    return PartialRecorder(recorder, selection, beside=experiment.declared)
+    return Slice(recorder, selection, beside=experiment.declared)
 
 
 def _recorded_part(log: Log) -> str:
@@ -283,7 +281,6 @@ def run_into(
     """
     graph = experiment.graph
     seconds = {} if profile is None else graph.measure()
-    with_messages = MessageRecorder(recorder, experiment)
     first = perf_counter()
     with interruptible() as check:
 
@@ -296,8 +293,9 @@ def run_into(
                 progress(float(block.time[-1]), experiment.clock.stop)
             check()
 
+        with_messages = MessageRecorder(recorder, experiment, began=began, reached=reached)
         try:
-            _run(experiment, Watched(with_messages, reached, began=began))
+            _run(experiment, with_messages)
         except RunError as error:
             for text in warning_texts(with_messages.warnings):
                 error.add_note(f"warning: {text}")

@@ -8,9 +8,9 @@ its rows are those of the whole replay, bit for bit, and nothing after it is com
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any
 
 from cosim.arguments import (
     mapping_argument,
@@ -19,18 +19,11 @@ from cosim.arguments import (
     truth_argument,
     whole_argument,
 )
-from cosim.arrays import Matrix
 from cosim.core.clock import whole_steps
-from cosim.core.contracts import Block
-from cosim.core.passing_recorders import PassingRecorder
-from cosim.core.recorders import follow
+from cosim.core.recorded.run import RecordedRun
+from cosim.core.recorders import Slice
 from cosim.core.recording import (
-    CompleteRecording,
-    MessageLevel,
     Recorder,
-    RowsUnderWay,
-    SignalEvent,
-    Substep,
 )
 from cosim.core.signals import Channel
 from cosim.errors import UsageError, option, quoted
@@ -118,7 +111,9 @@ class ReplayWindow:
 
     def beside(self, recorder: Recorder) -> Recorder:
         """Return a recorder that passes on what is in the window."""
-        return WindowRecorder(recorder, self) if self.index else recorder
+        if not self.index:
+            return recorder
+        return Slice(recorder, index=self.index, begin_ns=self.begin_ns)
 
     def check_begin(self, channels: Mapping[str, Channel], grid: Grid) -> None:
         """Check that all components that a replay records have a row where it begins.
@@ -145,12 +140,12 @@ class ReplayWindow:
                 )
 
 
-def window_of(source: CompleteRecording, ends: object) -> ReplayWindow:
+def window_of(source: RecordedRun, ends: object) -> ReplayWindow:
     """Return a window of a recording.
 
     Parameters
     ----------
-    source : CompleteRecording
+    source : RecordedRun
     ends : (float or None, float or None)
         Where it begins and ends [s]; None: where the recording does.
 
@@ -176,7 +171,7 @@ def window_of(source: CompleteRecording, ends: object) -> ReplayWindow:
     return ReplayWindow(stamp(index), stamp(last), index)
 
 
-def _point(source: CompleteRecording, time: object, verb: str) -> int:
+def _point(source: RecordedRun, time: object, verb: str) -> int:
     """Return the number of a communication point of a recording."""
     if isinstance(time, bool) or not isinstance(time, int | float):
         raise UsageError(f"the window {verb} at {quoted(time)}; expected a time [s]")
@@ -187,55 +182,3 @@ def _point(source: CompleteRecording, time: object, verb: str) -> int:
             f"{first_ns / 1e9} s to {source.end_ns / 1e9} s"
         )
     return whole_steps(time, source.step_ns, f"where the window {verb}", start_ns=first_ns)
-
-
-@final
-class WindowRecorder(PassingRecorder):
-    """Passes on what is in a window; its first communication point is number 0.
-
-    Parameters
-    ----------
-    recorder : Recorder
-    window : ReplayWindow
-    """
-
-    def __init__(self, recorder: Recorder, window: ReplayWindow) -> None:
-        super().__init__(recorder)
-        self._window = window
-
-    def follow(self, rows: RowsUnderWay) -> None:
-        """Pass on what is in the window."""
-
-        def within() -> tuple[Block, Matrix] | None:
-            found = rows()
-            return None if found is None else self._within(*found)
-
-        follow(self._recorder, within)
-
-    def write(self, block: Block, signals: Matrix) -> None:
-        """Pass on the rows from the begin of the window on."""
-        within = self._within(block, signals)
-        if within is not None:
-            self._recorder.write(*within)
-
-    def _within(self, block: Block, signals: Matrix) -> tuple[Block, Matrix] | None:
-        left_out = max(0, self._window.index - block.index)
-        if left_out > block.steps:
-            return None
-        part = block.part(left_out, block.steps)
-        return replace(part, index=part.index - self._window.index), signals[left_out:]
-
-    def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
-        """Pass on what is not before the window."""
-        if time_ns >= self._window.begin_ns:
-            self._recorder.message(time_ns, level, source, text)
-
-    def event(self, event: SignalEvent) -> None:
-        """Pass on what is not before the window."""
-        if event.time_ns >= self._window.begin_ns:
-            self._recorder.event(event)
-
-    def substep(self, substep: Substep) -> None:
-        """Pass on what does not begin before the window."""
-        if substep.begin_ns >= self._window.begin_ns:
-            self._recorder.substep(substep)

@@ -28,8 +28,9 @@ from cosim.arrays import as_columns
 from cosim.core.contracts import Block
 from cosim.core.port import Port, named_ports
 from cosim.core.recorded.partial import PartialRecord, partial_layout, partial_of
+from cosim.core.recorded.run import RecordedRun
 from cosim.core.recorders import Memory
-from cosim.core.recording import CompleteRecording, Plan
+from cosim.core.recording import Plan
 from cosim.core.signals import Layout
 from cosim.core.structure.cycles import strongly_connected
 from cosim.errors import LogError, UsageError, command, flag, listing, nearest, quoted
@@ -54,7 +55,7 @@ class ReplayedPart:
     ----------
     scenario : Scenario
         Without the components that are absent, and connections from and to these.
-    recording : CompleteRecording
+    recording : RecordedRun
         What is copied; of a partial log with those signals of them that it has.
     copied : tuple of str
     absent : mapping of component name to str
@@ -64,7 +65,7 @@ class ReplayedPart:
     """
 
     scenario: Scenario
-    recording: CompleteRecording
+    recording: RecordedRun
     copied: tuple[str, ...]
     absent: Mapping[str, str] = field(default_factory=dict)
     uncomputed: Mapping[str, str] = field(default_factory=dict)
@@ -77,13 +78,13 @@ class ReplayedPart:
 
 
 def replayed_part(
-    source: CompleteRecording, scenario: Scenario, chosen: Sequence[str] | None
+    source: RecordedRun, scenario: Scenario, chosen: Sequence[str] | None
 ) -> ReplayedPart:
     """Decide where a replay has each component from.
 
     Parameters
     ----------
-    source : CompleteRecording
+    source : RecordedRun
     scenario : Scenario
         Of the replay; a table says whether its component can be computed.
     chosen : sequence of str or None
@@ -136,7 +137,7 @@ class _PartSearch:
 
     def __init__(
         self,
-        run: CompleteRecording,
+        run: RecordedRun,
         partial: PartialRecord,
         scenario: Scenario,
         wanted: Collection[str],
@@ -359,7 +360,7 @@ class _PartSearch:
 class _CopiedRows(Memory):
     """What a partial log has of the components that are taken from it."""
 
-    def __init__(self, run: CompleteRecording) -> None:
+    def __init__(self, run: RecordedRun) -> None:
         super().__init__(run.metadata)
         self._run = run
 

@@ -18,7 +18,8 @@ import numpy as np
 from cosim.core.contracts import Design
 from cosim.core.port import Port
 from cosim.core.recorded.partial import declared_channels, partial_of
-from cosim.core.recording import CompleteRecording, SignalEvent
+from cosim.core.recorded.run import RecordedRun
+from cosim.core.recording import SignalEvent
 from cosim.core.structure.cycles import reached_from
 from cosim.errors import LogError, ScenarioError, UsageError, option
 from cosim.instants import NANOSECONDS, step_value
@@ -82,7 +83,7 @@ class RebuiltRun:
 
     Parameters
     ----------
-    source : CompleteRecording
+    source : RecordedRun
     request : ReplayRequest
     resources : ExitStack
         Closes what was opened.
@@ -110,7 +111,7 @@ class RebuiltRun:
 
     def __init__(
         self,
-        source: CompleteRecording,
+        source: RecordedRun,
         request: ReplayRequest,
         resources: ExitStack,
     ) -> None:

@@ -18,7 +18,7 @@ from cosim.arrays import Vector
 from cosim.core.contracts import prepare
 from cosim.core.port import Port, named_ports
 from cosim.core.recorded.partial import declared_channels
-from cosim.core.recording import CompleteRecording
+from cosim.core.recorded.run import RecordedRun
 from cosim.core.signals import Interface
 from cosim.errors import CosimError, ScenarioError
 from cosim.fmi.description import INTERFACE_TYPE_NAMES
@@ -127,7 +127,7 @@ def dry_run(scenario: Scenario) -> SwapReports:
     return replace(reports, of_run=tuple(warnings))
 
 
-def compare_with_recorded(builder: Builder, source: CompleteRecording, name: str) -> SwapReport:
+def compare_with_recorded(builder: Builder, source: RecordedRun, name: str) -> SwapReport:
     """Compare a component of a replay with the recorded one that it replaces, by what they declare.
 
     Neither is initialized or linearized for that: the replay is to begin with what was loaded.

@@ -29,9 +29,8 @@ from cosim.arrays import Mask, Matrix, Nanoseconds, Vector
 from cosim.core.clock import nanoseconds
 from cosim.core.contracts import Block
 from cosim.core.graph import Graph
-from cosim.core.passing_recorders import Watched
 from cosim.core.port import Port
-from cosim.core.recorders import Nothing, close, end_of_run, error_text
+from cosim.core.recorders import Nothing, Watched, close, end_of_run, error_text
 from cosim.core.recording import Recorder, SignalEvent
 from cosim.core.structure.cycles import reached_from
 from cosim.documents import plain

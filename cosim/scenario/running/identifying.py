@@ -20,8 +20,7 @@ from cosim.core.clock import seconds
 from cosim.core.connections import conversions_of
 from cosim.core.port import Port
 from cosim.core.recorded.partial import partial_of
-from cosim.core.recorded.signals import RecordedSignals
-from cosim.core.recording import CompleteRecording
+from cosim.core.recorded.run import RecordedRun
 from cosim.core.structure.ports import Ports
 from cosim.errors import UsageError, nearest, quoted
 from cosim.log import open_log
@@ -57,14 +56,14 @@ class IdentifierRecord:
 
     Parameters
     ----------
-    log : CompleteRecording
+    log : RecordedRun
         A log, or a run in memory.
     identifier : str
     identified : IdentifiedPlant
     data : DataSet
     """
 
-    log: CompleteRecording
+    log: RecordedRun
     identifier: str
     identified: IdentifiedPlant
     data: DataSet
@@ -168,7 +167,7 @@ class LogIdentification:
 
 
 def identifier_record(
-    source: str | Path | CompleteRecording, identifier: str | None = None
+    source: str | Path | RecordedRun, identifier: str | None = None
 ) -> IdentifierRecord:
     """Return the data and the model of an identifier, from the log of its run.
 
@@ -187,7 +186,7 @@ def identifier_record(
         several.
     """
     log = open_log(source) if isinstance(source, str | Path) else source
-    if not isinstance(log, RecordedSignals):
+    if not isinstance(log, RecordedRun):
         raise UsageError(f"logs: expected a path, or what a run returned, got {quoted(source)}")
     with ExitStack() as resources:
         experiment = RebuiltRun(log, ReplayRequest(), resources).experiment
@@ -201,7 +200,7 @@ def identifier_record(
     return IdentifierRecord(log, name, identified, data)
 
 
-def _samples(log: CompleteRecording, experiment: Experiment, identifier: str) -> SampleRows | None:
+def _samples(log: RecordedRun, experiment: Experiment, identifier: str) -> SampleRows | None:
     """Return the samples that drove an identifier at times of their own; None: it had none.
 
     They are taken from what drove it: of the identifier the log may keep some rows only.
@@ -223,7 +222,7 @@ def _samples(log: CompleteRecording, experiment: Experiment, identifier: str) ->
     return SampleRows(seconds(t_ns), _at_times(log, times, t_ns), rows)
 
 
-def _at_times(log: CompleteRecording, port: Port, t_ns: Nanoseconds) -> Matrix:
+def _at_times(log: RecordedRun, port: Port, t_ns: Nanoseconds) -> Matrix:
     """Return the rows of a signal at times; NaN where the log has none."""
     recorded = as_columns(log[port])
     rows = np.full((len(t_ns), recorded.shape[1]), np.nan)
@@ -232,7 +231,7 @@ def _at_times(log: CompleteRecording, port: Port, t_ns: Nanoseconds) -> Matrix:
 
 
 def identify(
-    logs: str | Path | CompleteRecording | Sequence[str | Path | CompleteRecording],
+    logs: str | Path | RecordedRun | Sequence[str | Path | RecordedRun],
     *,
     identifier: str | None = None,
     offset: bool = False,
@@ -316,7 +315,7 @@ def _check_beside(record: IdentifierRecord, used: Sequence[IdentifierRecord]) ->
             )
 
 
-def _chosen(log: CompleteRecording, identified: Mapping[str, Any], identifier: str | None) -> str:
+def _chosen(log: RecordedRun, identified: Mapping[str, Any], identifier: str | None) -> str:
     """Return the name of an identifier with a model of y, or of the only one."""
     if identifier in identified:
         return str(identifier)

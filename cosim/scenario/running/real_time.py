@@ -13,8 +13,7 @@ from typing import Final, final
 
 from cosim.core.clock import Clock
 from cosim.core.contracts import Block
-from cosim.core.passing_recorders import Watched
-from cosim.core.recorders import close
+from cosim.core.recorders import Watched, close
 from cosim.core.recording import Recorder
 from cosim.documents import plain
 from cosim.scenario.building.experiment import Experiment

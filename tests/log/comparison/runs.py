@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cosim.core.recorded.run import blocks_within
+from cosim.core.recorded.run import rows_within
 from cosim.core.signals import Channel, Interface, Signal
 from tests.log.recordings import STEP_NS
 
@@ -36,4 +36,4 @@ class Run:
     def blocks(self, component, *, first_ns=None, last_ns=None):
         assert component == "c"
         columns = [values.reshape(len(self._times), -1) for values in self._signals.values()]
-        yield from blocks_within(iter([(self._times, np.hstack(columns))]), first_ns, last_ns)
+        yield rows_within(self._times, np.hstack(columns), first_ns, last_ns)

@@ -8,7 +8,7 @@ import numpy as np
 import protocol
 
 from cosim.core.clock import seconds as seconds_of
-from cosim.core.growing_rows import untouched_rows
+from cosim.core.recorders import untouched_rows
 from tests.bench.masters.core_systems import graph_of
 
 

@@ -9,7 +9,7 @@ import pytest
 import cosim
 from cosim.core.recorded.run import span_ns
 from cosim.core.recorders import Memory
-from cosim.errors import LogError, UnknownSignalError, UsageError
+from cosim.errors import LogError, UsageError
 from cosim.log.diff import diff
 from cosim.scenario.document.document import find
 from tests.log.recordings import STEP_NS, plan, same_bits
@@ -18,25 +18,11 @@ SHORT = {"scenario.stop": 0.1}
 
 
 def test_t_has_the_instants_of_the_fastest_component(two_rates):
-    """Every communication point here, not those of the slower one."""
+    """Every communication point here, not those of the slower one; before a run it is empty."""
     log, _ = two_rates
+    assert len(Memory().t) == 0
     assert np.array_equal(log.t, np.arange(1001) * STEP_NS / 1e9)
     assert len(log.time("identifier")) == 201
-
-
-def test_t_is_empty_before_the_run():
-    """As every signal is."""
-    assert len(Memory().t) == 0
-
-
-@pytest.mark.usefixtures("without_verdicts")
-def test_signals_tell_what_they_are(recorded):
-    """By name, with all that was declared."""
-    assert recorded.signals["plant.x_a"].size == 2
-    assert recorded.signals["plant.x_a"].role == "state"
-    assert list(recorded.signals) == list(recorded)
-    with pytest.raises(TypeError):
-        recorded.signals["plant.x_a"] = None
 
 
 @pytest.mark.usefixtures("without_verdicts")
@@ -53,12 +39,11 @@ def test_parameters_are_those_of_the_scenario(recorded):
 
 
 @pytest.mark.usefixtures("without_verdicts")
-def test_parameters_of_components_that_are_not_recorded_are_known():
+def test_parameters_of_components_that_are_not_recorded_are_known(in_memory):
     """A log of some signals tells of the whole run what it was."""
     run = cosim.run("academic", set={**SHORT, "record.signals": ["plant.y"]})
-    whole = cosim.run("academic", set=SHORT)
     assert list(run.channels) == ["plant"]
-    assert run.parameters == whole.parameters
+    assert run.parameters == in_memory.parameters
 
 
 def test_the_scenario_is_its_text(recorded):
@@ -155,27 +140,15 @@ def test_the_edges_of_a_window_are_doubles_as_the_times_are():
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
-def test_a_bound_that_is_no_finite_number_is_refused(two_rates, value):
-    """None is how a bound is left out."""
+def test_bounds_are_finite_numbers_in_their_order(two_rates, value):
+    """None is how a bound is left out; others are refused, rather than an empty window."""
     log, _ = two_rates
     with pytest.raises(UsageError, match=r"t1: .*seconds, got (nan|inf)"):
         log.window(0.0, value)
     with pytest.raises(UsageError, match=r"t0: .*'a'"):
         log.window("a", 1.0)
-
-
-def test_bounds_in_the_wrong_order_are_refused(two_rates):
-    """Rather than an empty window."""
-    log, _ = two_rates
     with pytest.raises(UsageError, match=r"t0.*t1.*t0 = 2\.0 s.*t1 = 1\.0 s"):
         log.window(2.0, 1.0)
-
-
-def test_an_unknown_signal_of_a_window_names_the_nearest(two_rates):
-    """As that of the run."""
-    log, _ = two_rates
-    with pytest.raises(UnknownSignalError, match="did you mean 'x_a'"):
-        log.window(0.1, 0.2)["plant.x_b"]
 
 
 def test_a_window_has_the_messages_and_jumps_of_its_time(tmp_path):
