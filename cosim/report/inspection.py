@@ -36,7 +36,7 @@ from cosim.units import units_text
 if TYPE_CHECKING:
     from cosim.core.stages.substep_control import SubstepCounts
     from cosim.log import Log
-    from cosim.log.foreign.survey import TopicSurvey
+    from cosim.log.foreign.samples import TopicSurvey
 
 _Found = TypeVar("_Found")
 
@@ -230,7 +230,7 @@ def describe_recording(path: str) -> Section:
     LogError
         If it cannot be read, or is damaged.
     """
-    from cosim.log.foreign.survey import survey
+    from cosim.log.foreign.samples import survey
 
     topics = survey(Path(path))
     spacings = [topic.spacing for topic in topics if topic.spacing is not None]

@@ -14,13 +14,13 @@ import json
 import math
 import re
 from collections.abc import Iterable, Sequence
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
 
 from cosim.arrays import NAN
 from cosim.instants import NANOSECONDS
 
 Step: TypeAlias = str | int | range
-FieldPath: TypeAlias = tuple[Step, ...]
+Steps: TypeAlias = tuple[Step, ...]
 
 _QUOTED: Final = r'"(?:[^"\\]|\\.)*"'
 _STEP: Final = re.compile(
@@ -37,8 +37,24 @@ class Quoted(str):
     """A name that was written in quotes: it is no part of another one."""
 
 
+class FieldPath(NamedTuple):
+    """The way into a message.
+
+    Parameters
+    ----------
+    steps : tuple of str, int or range
+        () is the message itself.
+    names : tuple
+        From each step on: what may be one name, with the dots and brackets in it, and the number
+        of the step behind it. The step alone comes first.
+    """
+
+    steps: Steps
+    names: tuple[tuple[tuple[str, int], ...], ...]
+
+
 def parse_path(text: str) -> FieldPath:
-    """Return the way into a message that a text names; () where that is the message.
+    """Return the way into a message that a text names.
 
     Raises
     ------
@@ -59,7 +75,7 @@ def parse_path(text: str) -> FieldPath:
             )
         steps.append(_step(text, match))
         position = match.end()
-    return tuple(steps)
+    return FieldPath(tuple(steps), tuple(_names(steps, start) for start in range(len(steps))))
 
 
 def _step(text: str, match: re.Match[str]) -> Step:
@@ -79,6 +95,18 @@ def _unquoted(text: str, name: str) -> str:
         return str(json.loads(name))
     except ValueError as error:
         raise FieldProblem(f"{text!r}: the quotes of {name} cannot be read") from error
+
+
+def _names(steps: Sequence[Step], start: int) -> tuple[tuple[str, int], ...]:
+    first = steps[start]
+    if not isinstance(first, str):
+        return ()
+    names = [(str(first), start + 1)]
+    for stop in range(start + 2, len(steps) + 1):
+        if isinstance(first, Quoted) or isinstance(steps[stop - 1], Quoted):
+            break
+        names.append((path_text(steps[start:stop]), stop))
+    return tuple(names)
 
 
 def path_text(path: Iterable[Step]) -> str:

@@ -19,8 +19,7 @@ from cosim.core.signals import Channel, Interface, Signal
 from cosim.errors import LogError, UsageError, warn
 from cosim.files import expanded, file_type
 from cosim.instants import NANOSECONDS
-from cosim.log.foreign.samples import read_fields
-from cosim.log.foreign.survey import survey
+from cosim.log.foreign.samples import read_fields, survey
 from cosim.log.foreign.topics import is_foreign
 from cosim.log.reader import open_log
 from cosim.scenario.data_files.field_file import field_data

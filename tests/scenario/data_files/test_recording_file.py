@@ -9,7 +9,7 @@ import cosim
 from cosim.errors import LogError, UnknownSignalError, UsageError
 from cosim.log.conversion import convert
 from cosim.log.text import LogChoice
-from tests.log.foreign.field_logs import write_json
+from tests.log.foreign_files import write_json
 
 
 def table(folder, text):
