@@ -165,6 +165,8 @@ def split_field(field: str, topics: Iterable[str]) -> tuple[str, str] | None:
 
 # --- values ---
 
+_KINDS: Final = {type(None): "missing", str: "text", bytes: "bytes", list: "a list"}
+
 
 class StampNs(int):
     """A time or duration in ns, which is s as a value of a field."""
@@ -192,21 +194,15 @@ def _number(value: Any) -> float:
         return NAN
     if isinstance(value, StampNs):
         return value / NANOSECONDS
-    if isinstance(value, int):  # bool, enumerations too
-        return _exact(value)
-    if not isinstance(value, float):
+    if not isinstance(value, int | float):
         raise FieldProblem(f"expected a number, got {_what(value)}")
-    if value in (float("inf"), -float("inf")):
-        raise FieldProblem(f"expected a finite number, got {value}")
-    return value
-
-
-def _exact(value: int) -> float:
     try:
         number = float(value)
     except OverflowError:
         number = NAN
-    if number != value:
+    if abs(number) == math.inf:
+        raise FieldProblem(f"expected a finite number, got {value}")
+    if isinstance(value, int) and number != value:  # bool, enumerations too
         raise FieldProblem(
             f"expected an integer that a float64 represents (up to 2**53), got {value}"
         )
@@ -214,18 +210,8 @@ def _exact(value: int) -> float:
 
 
 def _what(value: Any) -> str:
-    match value:
-        case None:
-            return "missing"
-        case str():
-            return "text"
-        case bytes():
-            return "bytes"
-        case dict():
-            return "an object of several fields"
-        case list() | tuple():
-            return "a list"
-    return f"of type {type(value).__name__}"
+    kind = type(value)
+    return _KINDS.get(kind, f"of type {kind.__name__}")
 
 
 def nanoseconds_in(value: Any, unit_ns: int) -> int:

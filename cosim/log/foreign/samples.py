@@ -80,7 +80,12 @@ class FieldSamples:
 
 
 def read_fields(
-    path: Path, fields: Sequence[str], *, time: str = LOG_TIME, time_unit_ns: int = NANOSECONDS
+    path: Path,
+    fields: Sequence[str],
+    *,
+    time: str = LOG_TIME,
+    time_unit_ns: int = NANOSECONDS,
+    is_lenient: bool = False,
 ) -> list[FieldSamples]:
     """Read fields of messages, such as ``/drive/state.position`` and ``/joints.effort[0:3]``.
 
@@ -92,6 +97,8 @@ def read_fields(
         ``"log_time"``, ``"publish_time"``, or a field of the same messages, ``"header.stamp"``.
     time_unit_ns : int
         What a number that is a time counts, in ns.
+    is_lenient : bool
+        Leave out fields that no message has.
 
     Raises
     ------
@@ -125,8 +132,8 @@ def read_fields(
     end_ns = max([end_ns, *(collector.last_ns for collector in collectors.values())])
     samples: dict[str, FieldSamples] = {}
     for collector in collectors.values():
-        samples |= {found.field: found for found in collector.samples(end_ns)}
-    return [samples[name] for name in fields]
+        samples |= {found.field: found for found in collector.samples(end_ns, is_lenient)}
+    return [samples[name] for name in fields if name in samples]
 
 
 def _known_topic(path: Path, name: str, topics: Mapping[str, Any]) -> tuple[str, str]:
@@ -310,7 +317,7 @@ class _Collector:
             raise LogError(f"{self._path}: topic {self._topic!r} has no messages")
         return max(self._stamps)
 
-    def samples(self, end_ns: int) -> list[FieldSamples]:
+    def samples(self, end_ns: int, is_lenient: bool) -> list[FieldSamples]:
         """Return what was kept, by ascending time.
 
         Raises
@@ -326,6 +333,8 @@ class _Collector:
         samples = []
         for column in self._columns:
             if not column.size:
+                if is_lenient:
+                    continue
                 raise LogError(self._nothing_text(column))
             values = column.values(len(stamps))[kept]
             found = FieldSamples(
@@ -340,7 +349,8 @@ class _Collector:
         if column.size == 0:
             return f"{text}expected numbers, got no elements"
         names = [field_text(self._topic, name) for name in listed_fields(*self._first)]
-        return f"{text}no message has this field; {nearest(column.field, names)}"
+        known = "" if column.field in names else f"; {nearest(column.field, names)}"
+        return f"{text}no message has this field{known}"
 
 
 # --- what a file has ---
