@@ -19,9 +19,10 @@ class CollectingSdk:
     def __init__(self):
         self.topics = {}
         self.times = []  # [ns] that viewers were told
+        self.sent = []  # times of all messages [ns]
 
     def Channel(self, name, *, schema, **_):
-        self.topics[name] = CollectingTopic(message_class(schema.name, schema.data))
+        self.topics[name] = CollectingTopic(message_class(schema.name, schema.data), self.sent)
         return self.topics[name]
 
     def start_server(self, **_):
@@ -37,8 +38,9 @@ class CollectingSdk:
 class CollectingTopic:
     """Keeps what is published; decoded by stock protobuf where it is asked for."""
 
-    def __init__(self, kind):
+    def __init__(self, kind, sent):
         self._kind = kind
+        self._sent = sent
         self._data = []
         self.times = []  # of the messages [ns]
 
@@ -47,6 +49,7 @@ class CollectingTopic:
 
     def log(self, data, *, log_time):
         self.times.append(log_time)
+        self._sent.append(log_time)
         self._data.append(data)
 
     @property

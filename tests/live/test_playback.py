@@ -65,6 +65,7 @@ def test_rows_are_sent_bit_for_bit(log, collector):
         assert values.tobytes() == log.rows(name)[::stride].tobytes()
     ((time_ns, text),) = topics["/cosim/log"].messages
     assert (time_ns, text.message, text.name) == (5 * STEP_NS, "hot", "plant")
+    assert sent(collector).sent == sorted(sent(collector).sent)
 
 
 @pytest.mark.slow

@@ -9,10 +9,12 @@ import pytest
 
 import cosim
 from cosim.core.passing_recorders import Watched
+from cosim.core.recorders import Memory
 from cosim.errors import UnknownSignalError
 from cosim.live import play
 from tests.live.collecting import sent
 from tests.live.viewer import Viewer, fields
+from tests.log.recordings import layout, plan
 
 
 class Subscribing:
@@ -129,6 +131,16 @@ def test_a_run_of_which_a_part_is_recorded_is_shown_as_a_whole(collecting, tmp_p
     topics = sent(again).topics
     assert topics.keys() == {"/cosim/log", "/plant", "/observer"}
     assert topics["/plant"].rows().tolist() == log.rows("plant").tolist()
+
+
+def test_what_comes_behind_the_last_block_is_shown(collector):
+    """What comes before the run begins is not: it has no topics yet."""
+    with collector.beside(Memory(), {}) as recorder:
+        recorder.message(0, "error", "plant", "not built")
+        recorder.begin(plan(layout()))
+        recorder.message(5, "info", "plant", "the end")
+    ((time_ns, text),) = sent(collector).topics["/cosim/log"].messages
+    assert (time_ns, text.message) == (5, "the end")
 
 
 def test_signals_that_the_run_has_not_are_refused_before_it_begins(collecting, tmp_path):

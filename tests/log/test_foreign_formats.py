@@ -100,6 +100,8 @@ def test_fields_in_protobuf_that_are_no_numbers_are_refused(states, subtests):
             read(states[0], f"/drive/state.{field}")
     with pytest.raises(LogError, match=r"'/drive/stat.x'.* did you mean '/drive/st"):
         read(states[0], "/drive/stat.x")
+    with pytest.raises(LogError, match=r"'/drive/state': expected /drive/state\.FIELD"):
+        read(states[0], "/drive/state")
 
 
 def test_a_schema_in_protobuf_that_is_none_is_refused(tmp_path):
@@ -132,7 +134,7 @@ def test_fields_in_json_are_what_json_says(tmp_path):
         value = {
             "a": {"b": [{"c": index / 7}, {"c": [1, 2, index]}]},
             "on": index % 2 == 0,
-            "stamp": {"sec": 1_700_000_000 + index, "nsec": 25},
+            "stamp": {"nsec": 25, "sec": 1_700_000_000 + index},
             "name": "x",
         }
         if index % 3:
@@ -160,6 +162,7 @@ def test_values_in_json_that_are_no_numbers_are_refused(tmp_path, subtests):
     for value, field, text in [
         ({"a": "1"}, "a", "'/t.a', message 1: .*number, got text"),
         ({"a": {"b": 1}}, "a", r"got a message; available: a\.b"),
+        ({"a": {"sec": 1, "nsec": 0.5}}, "a", r"got a message; available: a\.sec, a\.nsec"),
         ({"abc": 1}, "abd", "did you mean '/t.abc'"),
         ({"a": [1, 2]}, "a[2]", "'a': index 2 .* 2 elements"),
         ({"a": [[1], [2]]}, "a", "number, got a list"),

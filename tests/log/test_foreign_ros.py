@@ -137,13 +137,17 @@ def ros_file(folder, definition, body, *, name="demo_msgs/msg/Demo", encapsulati
 
 
 def test_both_byte_orders_are_read(tmp_path):
-    """Padding counts from the body on: a double behind a byte begins at 8."""
-    definition = "uint8 a\nfloat64 b\nint32[] c"
+    """Padding counts from the body on: a double behind a byte begins at 8; char is unsigned."""
+    definition = "char a\nfloat64 b\nint32[] c"
     for number, order in ((0, ">"), (1, "<")):
-        body = struct.pack(f"{order}B7xdI2i", 7, -2.5, 2, 4, -5)
+        body = struct.pack(f"{order}B7xdI2i", 200, -2.5, 2, 4, -5)
         path = ros_file(tmp_path, definition, body, encapsulation=bytes((0, number, 0, 0)))
         found = read(path, "/topic.a", "/topic.b", "/topic.c")
-        assert [samples.values.tolist() for samples in found] == [[[7.0]], [[-2.5]], [[4.0, -5.0]]]
+        assert [samples.values.tolist() for samples in found] == [
+            [[200.0]],
+            [[-2.5]],
+            [[4.0, -5.0]],
+        ]
 
 
 def test_damaged_messages_and_schemas_of_ros_are_refused(tmp_path, subtests):
@@ -168,11 +172,13 @@ def test_damaged_messages_and_schemas_of_ros_are_refused(tmp_path, subtests):
         ("Demo x", b"", {}, "in its schema demo_msgs/Demo contains itself"),
         ("float64", b"", {}, "its schema .* cannot be parsed: .* at character"),
         ("float64[0] x", b"", {}, "its schema has an array of 0 elements"),
+        ("float64[99999999] x", b"", {}, "its schema has an array of 99999999 elements"),
+        ("#" * 2**20 + "\nfloat64 x", b"", {}, "its schema has 1048586 bytes, more than 1048576"),
         ("int8 x\n===\nint8 y", b"", {}, "its schema .* cannot be parsed: .* at character"),
         ("wstring w\nint8 x", b"", {}, "type 'wstring', 'w': not supported"),
     ]:
         path = ros_file(tmp_path, definition, body, **options)
-        with subtests.test(case=definition), pytest.raises(LogError, match=text):
+        with subtests.test(case=definition[:20]), pytest.raises(LogError, match=text):
             read(path, "/topic.x")
 
 
