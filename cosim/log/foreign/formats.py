@@ -166,7 +166,12 @@ def _elements(value: Any, step: int | range, before: Steps) -> Any:
 # --- JSON ---
 
 _MOST_LEVELS: Final = 50  # of objects and arrays in which fields are listed
-_STAMPS: Final = ({"sec", "nsec"}, {"sec", "nanosec"}, {"secs", "nsecs"}, {"seconds", "nanos"})
+_STAMPS: Final = (
+    ("sec", "nsec"),
+    ("sec", "nanosec"),
+    ("secs", "nsecs"),
+    ("seconds", "nanos"),
+)
 
 
 class JsonFormat(MessageFormat):
@@ -228,11 +233,12 @@ class JsonFormat(MessageFormat):
 
     def stamp(self, message: Any) -> StampNs | None:
         """Return an object of seconds and nanoseconds as a time; None: it is none."""
-        if message.keys() not in _STAMPS or any(type(part) is not int for part in message.values()):
-            return None
-        parts = dict(sorted(message.items(), key=lambda item: item[0].startswith("n")))
-        seconds, nanoseconds = parts.values()
-        return StampNs(seconds * NANOSECONDS + nanoseconds)
+        for pair in _STAMPS:
+            if message.keys() == set(pair):
+                seconds, nanoseconds = (message[name] for name in pair)
+                if type(seconds) is type(nanoseconds) is int:
+                    return StampNs(seconds * NANOSECONDS + nanoseconds)
+        return None
 
 
 # --- protobuf ---

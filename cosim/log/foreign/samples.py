@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -242,7 +242,7 @@ class _Collector:
         for field, inside in fields.items():
             with self._naming(field):
                 steps = parse_path(inside)
-                if channels[0].encoding != "json" and not inside[:1].strip("["):
+                if channels[0].encoding != "json" and inside[:1] in ("", "["):
                     raise FieldProblem(f"expected {self._topic}.FIELD")
             self._columns.append(_Column(field, steps))
         self._time_path: FieldPath | None = None
@@ -389,17 +389,12 @@ def format_of(channel: ForeignChannel) -> MessageFormat:
     raise FieldProblem(f"expected messages in {_READABLE}, got {channel.encoding!r} with {found}")
 
 
-@dataclass(frozen=True, slots=True)
-class TopicSurvey:
+class TopicSurvey(NamedTuple):
     """A topic, or the part of it that has one schema.
 
     Parameters
     ----------
-    topic : str
-    encoding : str
-        Of the messages.
-    schema, schema_encoding : str
-        Empty: there is none.
+    channel : ForeignChannel
     spacing : Spacing or None
         Of the messages by their log times; None: there are none.
     fields : mapping of name to type
@@ -408,10 +403,7 @@ class TopicSurvey:
         Why there are none; empty: nothing is wrong.
     """
 
-    topic: str
-    encoding: str
-    schema: str
-    schema_encoding: str
+    channel: ForeignChannel
     spacing: Spacing | None
     fields: dict[str, str]
     problem: str
@@ -441,7 +433,7 @@ def survey(path: Path) -> list[TopicSurvey]:
             ) from None
     names = {channel.topic for channel in stamps}
     found = [_surveyed(one, own, first.get(one, b""), names) for one, own in stamps.items()]
-    return sorted(found, key=lambda topic: topic.topic)
+    return sorted(found, key=lambda topic: topic.channel.topic)
 
 
 def _surveyed(
@@ -454,6 +446,5 @@ def _surveyed(
             fields[field_text(channel.topic, name, topics)] = type_name
     except FieldProblem as error:
         problem = str(error)
-    name, encoding, _ = channel.schema or ("", "", b"")
     spacing = spacing_of(np.array(stamps, np.int64)) if stamps else None
-    return TopicSurvey(channel.topic, channel.encoding, name, encoding, spacing, fields, problem)
+    return TopicSurvey(channel, spacing, fields, problem)

@@ -222,7 +222,7 @@ def _messages(path: Path) -> FileRun:
     """Read the numeric fields of all topics that have any."""
     topics: dict[str, dict[str, str]] = defaultdict(dict)
     for part in survey(path):
-        topics[part.topic] |= part.fields
+        topics[part.channel.topic] |= part.fields
     names = [name for fields in topics.values() for name in fields]
     unknown = [name for name in names if "[]" in name]
     if unknown:
