@@ -112,12 +112,6 @@ class LiveServer:
         self.signals = tuple(signals)
         self._notice = notice
         self._gate: Gate | None = None
-        self._server: Any = None  # of the SDK, which listens behind the gate
-        self._subscribed = threading.Event()
-        self._parts: list[tuple[Part, SdkChannel]] = []
-        self._topics: dict[str, SdkChannel] = {}  # beside the rows
-        self._waiting: list[tuple[int, SdkChannel, bytes]] = []
-        self._told_ns = -1
 
     def __enter__(self) -> Self:
         """Take the address.
@@ -129,6 +123,12 @@ class LiveServer:
         """
         self._sdk = load_sdk()
         self._context = self._sdk.Context()
+        self._server: Any = None  # of the SDK, which listens behind the gate
+        self._subscribed = threading.Event()
+        self._parts: list[tuple[Part, SdkChannel]] = []
+        self._topics: dict[str, SdkChannel] = {}  # beside the rows
+        self._waiting: list[tuple[int, SdkChannel, bytes]] = []
+        self._told_ns = -1
         self._gate = Gate(*self._address)
         return self
 
@@ -312,7 +312,7 @@ class LiveServer:
         check : callable
             Called again and again; what it raises ends the waiting.
         """
-        while not self._subscribed.wait(_LOOK):
+        while self._opened and not self._subscribed.wait(_LOOK):
             check()
         # They subscribe to one topic after the other.
         while self._subscribed.is_set():

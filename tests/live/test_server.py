@@ -34,7 +34,11 @@ def test_a_server_works_inside_its_with_block_only(collecting):
         _ = server.url
     with server:
         assert server.url.startswith("ws://127.0.0.1:")
-    with pytest.raises(UsageError, match="has no address"):
+        server.listen()
+    for use in (lambda: server.beside(Memory(), {}), server.wait_for_viewer):
+        with pytest.raises(UsageError, match="has no address"):
+            use()
+    with server:  # another one
         server.beside(Memory(), {})
 
 
