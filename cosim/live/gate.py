@@ -8,6 +8,9 @@ an alias of this machine's address, but then asks for that name, in ``Host``. So
 * and to ask for this machine by a number, as ``localhost``, or by a name that is known.
 
 Behind the gate the bytes are passed on as they are.
+
+The address belongs to the gate from the start on: one that cannot be used is refused at once, and
+port 0 becomes a number. Who connects early waits until there is a server.
 """
 
 from __future__ import annotations
@@ -23,9 +26,10 @@ from contextlib import closing, suppress
 from typing import Final, final
 from urllib.parse import urlsplit
 
-from cosim.errors import option
+from cosim.errors import UsageError, option
 
 PATIENCE: Final = 1.0  # s that a handshake, and the end of a connection, may take
+_LARGEST_PORT: Final = 2**16 - 1
 # pages of viewers
 _KNOWN: Final = frozenset({"localhost", "app.foxglove.dev"})
 _MOST_BYTES: Final = 2**16  # of a handshake, and at once
@@ -78,36 +82,59 @@ class Gate:
 
     Parameters
     ----------
-    listener : socket
-        Bound to the address of viewers; it is closed with the gate.
-    server : (str, int)
-        Address of the server.
+    host : str
+    port : int
+        0: any free one.
     hosts : collection of str
         See :func:`refusal`.
 
     Raises
     ------
-    OSError
-        If somebody else listens there.
+    UsageError
+        If the port is invalid, or the address cannot be used.
     """
 
-    def __init__(
-        self, listener: socket.socket, server: tuple[str, int], hosts: Collection[str]
-    ) -> None:
-        listener.listen()
-        self._listener = listener
-        self._server = server
-        self._hosts = hosts
+    def __init__(self, host: str, port: int, hosts: Collection[str] = ()) -> None:
+        if not 0 <= port <= _LARGEST_PORT:
+            raise UsageError(f"{option('port')}: expected 0 to {_LARGEST_PORT}, got {port}")
+        try:
+            family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+            is_6 = family == socket.AF_INET6
+            is_both = is_6 and socket.has_dualstack_ipv6()
+            self._listener = socket.create_server(address, family=family, dualstack_ipv6=is_both)
+        except (OSError, ValueError) as error:  # names that are none are ValueErrors
+            reason = (getattr(error, "strerror", None) or str(error)).partition(" (while")[0]
+            raise UsageError(
+                f"{option('port')}: cannot listen on {host}:{port}: {reason}; choose another "
+                "port, or 0 for any free one"
+            ) from error
+        number, port = self._listener.getsockname()[:2]
+        self.url = f"ws://[{number}]:{port}" if is_6 else f"ws://{number}:{port}"
+        self._hosts = (host, *hosts)
         self._way_out = f"; {option('allow_host')} names further hosts"  # as this thread says it
         self._loop = asyncio.new_event_loop()
         self._closing = asyncio.Event()
+        self._thread: threading.Thread | None = None
+
+    @property
+    def is_open(self) -> bool:
+        """Whether viewers are passed on."""
+        return self._thread is not None
+
+    def open(self, server: tuple[str, int]) -> None:
+        """Pass viewers on to the address of a server."""
+        self._server = server
         self._thread = threading.Thread(target=self._run, name="viewers", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """Disconnect everybody."""
-        self._loop.call_soon_threadsafe(self._closing.set)
-        self._thread.join(PATIENCE)
+        """Disconnect everybody, and give the address back."""
+        if self._thread is None:
+            self._loop.close()
+        else:
+            self._loop.call_soon_threadsafe(self._closing.set)
+            self._thread.join(PATIENCE)
+        self._listener.close()
 
     def _run(self) -> None:
         with asyncio.Runner(loop_factory=lambda: self._loop) as runner:

@@ -8,10 +8,9 @@ up; if sending takes too long, the next windows are sent at once.
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Callable, Iterator
 from math import ceil
-from typing import Final, final
+from typing import Final, Generic, TypeAlias, TypeVar, final
 
 import numpy as np
 
@@ -19,7 +18,6 @@ from cosim.arguments import positive_argument
 from cosim.arrays import Matrix, Nanoseconds
 from cosim.errors import LogError
 from cosim.instants import NANOSECONDS
-from cosim.live.publisher import Publisher
 from cosim.live.server import LiveServer
 from cosim.log import Log
 from cosim.log.preamble import LOG_TOPIC
@@ -28,6 +26,9 @@ from cosim.scenario.running.real_time import BLOCK, RealTimePace
 
 _LONGEST_SLEEP: Final = 0.05  # s, until it is looked whether playback is to end
 _TOGETHER: Final = 10_000  # messages that are read at once
+
+SentMessage: TypeAlias = tuple[str, int, bytes]  # topic, time [ns], data
+_Piece = TypeVar("_Piece", Matrix, list[SentMessage])
 
 
 def play(log: Log, server: LiveServer, *, speed: float = 1.0, loop: bool = False) -> Lateness:
@@ -88,24 +89,22 @@ class Playback:
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self._log = log
-        self._connection = server.free_connection()
         self._check = check
         self._now = now
         self._sleep = sleep
         factor = positive_argument("speed", speed)
         self._window_ns = max(1, round(BLOCK * factor * NANOSECONDS))
-        self._publisher = Publisher(
-            self._connection,
+        counts = log.message_counts()
+        self._messages = sum(counts.values())
+        self._server = server
+        server.advertise(
             log.channels,
             kinds=log.kinds,
             step_ns=log.step_ns,
-            names=server.signals,
+            topics=dict.fromkeys([LOG_TOPIC, *counts]),
             source=str(log.path),
         )
-        self._message_counts = log.message_counts()
-        for topic in dict.fromkeys([LOG_TOPIC, *self._message_counts]):
-            self._publisher.advertise(topic)
-        starts = [cursor.next_ns for cursor in self._cursors()]
+        starts = [cursor.next_ns for cursor in self._rows().values()]
         known = [start for start in starts if start is not None]
         if not known:
             raise LogError(f"{log.path} has no rows to play")
@@ -135,12 +134,12 @@ class Playback:
             if not loop:
                 return
             shift_ns += length_ns
-            self._connection.turn_back()
+            self._server.turn_back()
 
     def _play_once(self, shift_ns: int) -> None:
         """Play all windows, ``shift_ns`` later than when the first round began."""
-        cursors = self._cursors()
-        messages = _MessageCursor(self._log, sum(self._message_counts.values()), self._start_ns)
+        cursors = self._rows()
+        messages = _Cursor(_messages(self._log, self._messages, self._start_ns))
         end_ns = self._start_ns
         while True:
             self._check()
@@ -148,21 +147,22 @@ class Playback:
             counts = shift_ns > 0 or end_ns > self._start_ns
             later = shift_ns / NANOSECONDS
             self._pace.reach(end_ns / NANOSECONDS, later=later, counts=counts)
-            for cursor in cursors:
+            for component, cursor in cursors.items():
                 for time_ns, rows in cursor.take(end_ns):
-                    self._publisher.add_rows(cursor.component, time_ns, rows)
-            for message in messages.take(end_ns):
-                self._publisher.add_message(*message)
-            self._publisher.send()
-            left = [messages.next_ns, *(cursor.next_ns for cursor in cursors)]
+                    self._server.add_rows(component, time_ns, rows)
+            for _, found in messages.take(end_ns):
+                for message in found:
+                    self._server.add_message(*message)
+            self._server.send()
+            left = [messages.next_ns, *(cursor.next_ns for cursor in cursors.values())]
             following = [instant for instant in left if instant is not None]
             if not following:
                 return
             windows = -((self._start_ns - min(following)) // self._window_ns)
             end_ns = self._start_ns + windows * self._window_ns
 
-    def _cursors(self) -> list[_Cursor]:
-        return [_Cursor(self._log, name) for name in self._publisher.components]
+    def _rows(self) -> dict[str, _Cursor[Matrix]]:
+        return {name: _Cursor(self._log.blocks(name)) for name in self._server.components}
 
     def _sleep_watched(self, seconds: float) -> None:
         """Wait, but end at once where playback is to end."""
@@ -173,87 +173,64 @@ class Playback:
 
 
 @final
-class _Cursor:
-    """The rows of a component, taken up to one instant after the other."""
+class _Cursor(Generic[_Piece]):
+    """Rows or messages, taken up to one instant after the other.
 
-    def __init__(self, log: Log, component: str) -> None:
-        self.component = component
-        self._blocks = log.blocks(component)
-        self._time_ns: Nanoseconds = np.empty(0, np.int64)
-        self._rows: Matrix = np.empty((0, 0))
+    Parameters
+    ----------
+    pieces : iterator of (Nanoseconds, sequence)
+        In order of time: instants, and what belongs to them.
+    """
+
+    def __init__(self, pieces: Iterator[tuple[Nanoseconds, _Piece]]) -> None:
+        self._pieces: Iterator[tuple[Nanoseconds, _Piece]] = pieces
+        self._piece: tuple[Nanoseconds, _Piece] | None = next(pieces, None)
         self._first = 0
-        self._advance()
+        self._skip_empty()
 
     @property
     def next_ns(self) -> int | None:
-        """Instant of the next row [ns]; None: there is none."""
-        if self._first < len(self._time_ns):
-            return int(self._time_ns[self._first])
-        return None
+        """The next instant [ns]; None: there is none."""
+        return None if self._piece is None else int(self._piece[0][self._first])
 
-    def take(self, until_ns: int) -> list[tuple[Nanoseconds, Matrix]]:
-        """Return the rows up to an instant that were not taken yet, in pieces."""
-        pieces = []
-        while self.next_ns is not None and self.next_ns <= until_ns:
-            stop = int(np.searchsorted(self._time_ns, until_ns, side="right"))
-            taken = slice(self._first, stop)
-            pieces.append((self._time_ns[taken], self._rows[taken]))
+    def take(self, until_ns: int) -> list[tuple[Nanoseconds, _Piece]]:
+        """Return what was not taken yet up to an instant, in pieces."""
+        taken = []
+        while self._piece is not None and self._piece[0][self._first] <= until_ns:
+            time_ns, content = self._piece
+            stop = int(np.searchsorted(time_ns, until_ns, side="right"))
+            taken.append((time_ns[self._first : stop], content[self._first : stop]))
             self._first = stop
-            self._advance()
-        return pieces
+            self._skip_empty()
+        return taken
 
-    def _advance(self) -> None:
-        """Go on to the next block that has rows, where this one has no more."""
-        while self._first >= len(self._time_ns):
-            block = next(self._blocks, None)
-            if block is None:
-                return
-            self._time_ns, self._rows = block
+    def _skip_empty(self) -> None:
+        """Go on to the next piece that has something, where this one has no more."""
+        while self._piece is not None and self._first >= len(self._piece[0]):
+            self._piece = next(self._pieces, None)
             self._first = 0
 
 
-@final
-class _MessageCursor:
-    """The messages of a log beside its rows, read for some time at once, as if evenly spread.
+def _messages(
+    log: Log, count: int, start_ns: int
+) -> Iterator[tuple[Nanoseconds, list[SentMessage]]]:
+    """Yield the messages of a log beside its rows, read for some time at once.
 
     Parameters
     ----------
     log : Log
     count : int
-        How many there are.
+        How many there are: as if evenly spread.
     start_ns : int
         When the rows begin [ns].
     """
-
-    def __init__(self, log: Log, count: int, start_ns: int) -> None:
-        self._log = log
-        self._last_ns: int | None = start_ns
-        parts = max(1, count // _TOGETHER)
-        self._span_ns = max(1, (log.end_ns - start_ns) // parts)
-        self._waiting: deque[tuple[str, int, bytes]] = deque()
-        if count:
-            self._read(None)
-        else:
-            self._last_ns = None
-
-    @property
-    def next_ns(self) -> int | None:
-        """Time of the next message [ns]; None: there is none."""
-        return self._waiting[0][1] if self._waiting else None
-
-    def take(self, until_ns: int) -> Iterator[tuple[str, int, bytes]]:
-        """Yield topic, time [ns] and data of the next messages up to a time."""
-        while self._waiting and self._waiting[0][1] <= until_ns:
-            message = self._waiting.popleft()
-            if not self._waiting and self._last_ns is not None:
-                self._read(self._last_ns + 1)
-            yield message
-
-    def _read(self, first_ns: int | None) -> None:
-        """Read the next messages, from a time on; all that are left in the last part."""
-        while not self._waiting and self._last_ns is not None:
-            self._last_ns += self._span_ns
-            if self._last_ns >= self._log.end_ns:
-                self._last_ns = None
-            self._waiting.extend(self._log.messages_between(first_ns, self._last_ns))
-            first_ns = None if self._last_ns is None else self._last_ns + 1
+    span_ns = max(1, (log.end_ns - start_ns) // max(1, count // _TOGETHER))
+    first_ns: int | None = None
+    last_ns: int | None = start_ns
+    while count and last_ns is not None:
+        last_ns += span_ns
+        if last_ns >= log.end_ns:
+            last_ns = None  # all that are left
+        found = log.messages_between(first_ns, last_ns)
+        yield np.array([time_ns for _, time_ns, _ in found], np.int64), found
+        first_ns = None if last_ns is None else last_ns + 1

@@ -36,7 +36,7 @@ from cosim.units import units_text
 if TYPE_CHECKING:
     from cosim.core.stages.substep_control import SubstepCounts
     from cosim.log import Log
-    from cosim.log.foreign.survey import TopicSurvey
+    from cosim.log.foreign.samples import TopicSurvey
 
 _Found = TypeVar("_Found")
 
@@ -230,12 +230,12 @@ def describe_recording(path: str) -> Section:
     LogError
         If it cannot be read, or is damaged.
     """
-    from cosim.log.foreign.survey import survey
+    from cosim.log.foreign.samples import survey
 
     topics = survey(Path(path))
     spacings = [topic.spacing for topic in topics if topic.spacing is not None]
     about: Section = {
-        "topics": len({topic.topic for topic in topics}),
+        "topics": len({topic.channel.topic for topic in topics}),
         "messages": sum(spacing.count for spacing in spacings),
     }
     if spacings:
@@ -250,7 +250,7 @@ def describe_recording(path: str) -> Section:
     ]
     content = {"recording": about, "topics": list(map(_topic_row, topics)), "fields": []}
     content |= _limited("fields", fields, MOST_FIELDS)
-    problems = {topic.topic: topic.problem for topic in topics if topic.problem}
+    problems = {topic.channel.topic: topic.problem for topic in topics if topic.problem}
     return {**content, **_unread("topic", problems)}
 
 
@@ -261,12 +261,12 @@ def _unread(what: str, problems: Mapping[str, str]) -> Section:
 
 
 def _topic_row(topic: TopicSurvey) -> Section:
-    encoding = f" ({topic.schema_encoding})" if topic.schema_encoding else ""
-    spacing = topic.spacing
+    channel, spacing, _, _ = topic
+    name, encoding, _ = channel.schema or ("", "", b"")
     row: Section = {
-        "topic": topic.topic,
-        "encoding": topic.encoding,
-        "schema": f"{topic.schema}{encoding}" or None,
+        "topic": channel.topic,
+        "encoding": channel.encoding,
+        "schema": f"{name} ({encoding})" if encoding else name or None,
         "messages": 0,
         **dict.fromkeys(("rate", "out of order", "same instant", "largest gap", "at")),
     }

@@ -1,54 +1,55 @@
-"""What a server would send, collected in place of a WebSocket: no SDK, no threads, no waiting."""
+"""What a server would send, collected in place of Foxglove's SDK: no viewers, no waiting."""
 
 from __future__ import annotations
+
+from types import SimpleNamespace
 
 import numpy as np
 
 from tests.log.decoding import message_class
 
 
-class CollectingConnection:
-    """Stands for the connection to a viewer that subscribes to all topics."""
+class CollectingSdk:
+    """Stands for the SDK, and for a viewer that subscribes to all topics."""
 
-    def __init__(self, host, port, name, hosts=()):
-        self.url = f"ws://{host}:{port}"
-        self.listens = False
+    Context = Schema = SimpleNamespace
+    websocket = SimpleNamespace(Capability=SimpleNamespace(Time="time"))
+    port = 9
+
+    def __init__(self):
         self.topics = {}
         self.times = []  # [ns] that viewers were told
+        self.sent = []  # times of all messages [ns]
 
-    def topic(self, name, *, schema_name, schema, metadata):
-        assert not self.listens
-        self.topics[name] = CollectingTopic(message_class(schema_name, schema))
+    def Channel(self, name, *, schema, **_):
+        self.topics[name] = CollectingTopic(message_class(schema.name, schema.data), self.sent)
         return self.topics[name]
 
-    def listen(self):
-        self.listens = True
+    def start_server(self, **_):
+        return self
 
-    def set_time(self, time_ns):
+    def broadcast_time(self, time_ns):
         self.times.append(time_ns)
 
-    def turn_back(self):
-        pass
-
-    def wait_for_viewer(self, check):
-        pass
-
-    def close(self):
+    def stop(self):
         pass
 
 
 class CollectingTopic:
     """Keeps what is published; decoded by stock protobuf where it is asked for."""
 
-    is_watched = True
-
-    def __init__(self, kind):
+    def __init__(self, kind, sent):
         self._kind = kind
+        self._sent = sent
         self._data = []
         self.times = []  # of the messages [ns]
 
-    def publish(self, time_ns, data):
-        self.times.append(time_ns)
+    def has_sinks(self):
+        return True
+
+    def log(self, data, *, log_time):
+        self.times.append(log_time)
+        self._sent.append(log_time)
         self._data.append(data)
 
     @property
@@ -61,3 +62,8 @@ class CollectingTopic:
         names = [field.name for field in self._kind.DESCRIPTOR.fields]
         messages = map(self._kind.FromString, self._data[::stride])
         return np.array([[getattr(message, name) for name in names] for message in messages])
+
+
+def sent(server):
+    """Return what a server has collected."""
+    return server._sdk

@@ -4,7 +4,7 @@ import pytest
 
 from cosim.live import LiveServer
 from cosim.log import McapRecorder, open_log
-from tests.live.collecting import CollectingConnection
+from tests.live.collecting import CollectingSdk
 from tests.log.recordings import STEP_NS, blocks, layout, plan, table
 
 
@@ -30,12 +30,14 @@ def server():
 
 @pytest.fixture
 def collecting(monkeypatch):
-    """Collect what servers would send."""
-    monkeypatch.setattr("cosim.live.server.ViewerConnection", CollectingConnection)
+    """Collect what servers would send; return what makes one."""
+    monkeypatch.setattr("cosim.live.server.load_sdk", CollectingSdk)
+    monkeypatch.setattr("cosim.live.server._QUIET", 0.0)
+    return lambda *signals: LiveServer(port=0, signals=signals)
 
 
 @pytest.fixture
 def collector(collecting):
-    """Return a server whose connection collects what it would send."""
-    with LiveServer() as server:
+    """Return a server that collects what it would send."""
+    with collecting() as server:
         yield server

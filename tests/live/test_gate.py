@@ -9,7 +9,6 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-import cosim
 from cosim.live import LiveServer
 from cosim.live.gate import refusal
 from tests.live.viewer import SUBPROTOCOL, Viewer
@@ -74,10 +73,10 @@ def test_a_page_of_another_host_gets_the_way_out_in_place_of_a_connection(server
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sent", [b"", b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n", None])
-def test_a_connection_without_a_handshake_keeps_no_run_from_ending(sent):
+def test_a_connection_without_a_handshake_keeps_no_server_from_ending(sent):
     """Nothing sent, half a request, or a handshake and no answer to anything after it."""
     with LiveServer(port=0) as server:
-        cosim.run("pair", set={"scenario.stop": 0.01}, live=server)
+        server.listen()
         port = int(server.url.rpartition(":")[2])
         mute = socket.create_connection(("127.0.0.1", port))
         if sent is None:

@@ -79,6 +79,11 @@ class Viewer:
                 found[topic].append((time_ns, message))
         raise AssertionError(f"not received: {counts}")
 
+    def wait_for_time(self, time_ns):
+        """Receive until the server has told a time [ns]."""
+        while time_ns not in self.times:
+            self._take(self._received())
+
     def _received(self):
         message = self._socket.recv(timeout=PATIENCE)
         return json.loads(message) if isinstance(message, str) else message

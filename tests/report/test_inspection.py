@@ -11,7 +11,7 @@ import cosim
 from cosim.errors import LogError
 from cosim.report.inspection import describe_log, describe_recording, describe_scenario
 from cosim.scenario.exporting import export_component
-from tests.log.foreign.field_logs import EPOCH, state_class, write_json
+from tests.log.foreign_files import EPOCH, state_class, write_json
 from tests.log.recordings import record
 from tests.scenario.user_modules import RELAY
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tests.log.foreign.field_logs import EPOCH, write_json
+from tests.log.foreign_files import EPOCH, write_json
 
 STEP = 1e-2
 STEP_NS = 10_000_000

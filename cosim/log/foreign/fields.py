@@ -14,13 +14,13 @@ import json
 import math
 import re
 from collections.abc import Iterable, Sequence
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
 
 from cosim.arrays import NAN
 from cosim.instants import NANOSECONDS
 
 Step: TypeAlias = str | int | range
-FieldPath: TypeAlias = tuple[Step, ...]
+Steps: TypeAlias = tuple[Step, ...]
 
 _QUOTED: Final = r'"(?:[^"\\]|\\.)*"'
 _STEP: Final = re.compile(
@@ -37,8 +37,24 @@ class Quoted(str):
     """A name that was written in quotes: it is no part of another one."""
 
 
+class FieldPath(NamedTuple):
+    """The way into a message.
+
+    Parameters
+    ----------
+    steps : tuple of str, int or range
+        () is the message itself.
+    names : tuple
+        From each step on: what may be one name, with the dots and brackets in it, and the number
+        of the step behind it. The step alone comes first.
+    """
+
+    steps: Steps
+    names: tuple[tuple[tuple[str, int], ...], ...]
+
+
 def parse_path(text: str) -> FieldPath:
-    """Return the way into a message that a text names; () where that is the message.
+    """Return the way into a message that a text names.
 
     Raises
     ------
@@ -59,7 +75,7 @@ def parse_path(text: str) -> FieldPath:
             )
         steps.append(_step(text, match))
         position = match.end()
-    return tuple(steps)
+    return FieldPath(tuple(steps), tuple(_names(steps, start) for start in range(len(steps))))
 
 
 def _step(text: str, match: re.Match[str]) -> Step:
@@ -79,6 +95,18 @@ def _unquoted(text: str, name: str) -> str:
         return str(json.loads(name))
     except ValueError as error:
         raise FieldProblem(f"{text!r}: the quotes of {name} cannot be read") from error
+
+
+def _names(steps: Sequence[Step], start: int) -> tuple[tuple[str, int], ...]:
+    first = steps[start]
+    if not isinstance(first, str):
+        return ()
+    names = [(str(first), start + 1)]
+    for stop in range(start + 2, len(steps) + 1):
+        if isinstance(first, Quoted) or isinstance(steps[stop - 1], Quoted):
+            break
+        names.append((path_text(steps[start:stop]), stop))
+    return tuple(names)
 
 
 def path_text(path: Iterable[Step]) -> str:
@@ -137,6 +165,8 @@ def split_field(field: str, topics: Iterable[str]) -> tuple[str, str] | None:
 
 # --- values ---
 
+_KINDS: Final = {type(None): "missing", str: "text", bytes: "bytes", list: "a list"}
+
 
 class StampNs(int):
     """A time or duration in ns, which is s as a value of a field."""
@@ -164,21 +194,15 @@ def _number(value: Any) -> float:
         return NAN
     if isinstance(value, StampNs):
         return value / NANOSECONDS
-    if isinstance(value, int):  # bool, enumerations too
-        return _exact(value)
-    if not isinstance(value, float):
+    if not isinstance(value, int | float):
         raise FieldProblem(f"expected a number, got {_what(value)}")
-    if value in (float("inf"), -float("inf")):
-        raise FieldProblem(f"expected a finite number, got {value}")
-    return value
-
-
-def _exact(value: int) -> float:
     try:
         number = float(value)
     except OverflowError:
         number = NAN
-    if number != value:
+    if abs(number) == math.inf:
+        raise FieldProblem(f"expected a finite number, got {value}")
+    if isinstance(value, int) and number != value:  # bool, enumerations too
         raise FieldProblem(
             f"expected an integer that a float64 represents (up to 2**53), got {value}"
         )
@@ -186,18 +210,8 @@ def _exact(value: int) -> float:
 
 
 def _what(value: Any) -> str:
-    match value:
-        case None:
-            return "missing"
-        case str():
-            return "text"
-        case bytes():
-            return "bytes"
-        case dict():
-            return "an object of several fields"
-        case list() | tuple():
-            return "a list"
-    return f"of type {type(value).__name__}"
+    kind = type(value)
+    return _KINDS.get(kind, f"of type {kind.__name__}")
 
 
 def nanoseconds_in(value: Any, unit_ns: int) -> int:

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from types import SimpleNamespace
 from typing import Any, Final, NamedTuple, TypeAlias
 
 from cosim.instants import NANOSECONDS
-from cosim.log.foreign.decoding import DecodedFormat
 from cosim.log.foreign.fields import FieldProblem, StampNs
+from cosim.log.foreign.formats import MISSING, MessageFormat
 from cosim.log.foreign.topics import ForeignSchema
 
 _MOST_TEXT: Final = 2**20  # bytes of a schema
@@ -62,7 +62,7 @@ RosMessages: TypeAlias = Mapping[str, tuple[RosField, ...]]  # fields by the nam
 _TIME: Final = (RosField("sec", "int32", None), RosField("nanosec", "uint32", None))
 
 
-class RosFormat(DecodedFormat):
+class RosFormat(MessageFormat):
     """Messages in CDR.
 
     Raises
@@ -74,15 +74,44 @@ class RosFormat(DecodedFormat):
     def __init__(self, schema: ForeignSchema) -> None:
         try:
             from mcap_ros2._dynamic import generate_dynamic
+            from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
         except ImportError as error:
-            raise _missing("mcap-ros2-support") from error
-        self._name = short_name(schema.name)
-        self._messages = read_messages(schema)
-        text = _text(self._name, self._messages)
+            raise FieldProblem(
+                "messages of ROS 2 need mcap-ros2-support and rosbags, which are not all "
+                "installed: pip install 'cosim[ros]', or, in a clone of cosim, pip install -e "
+                "'.[ros]'"
+            ) from error
+        self._name = _short(schema.name)
+        text = _schema_text(schema)
         try:
-            self._decoder = generate_dynamic(self._name, text)[self._name]
+            if schema.encoding == "ros2idl":
+                types = get_types_from_idl(_TITLES.sub("", text))
+            else:
+                types = get_types_from_msg(_SEPARATOR.sub("=" * 80, text), self._name)
+        except (TypesysError, RecursionError, ValueError) as error:
+            reason, *rest = str(error).splitlines()
+            if len(rest) > 1:  # the text, and where in it
+                reason = f"nothing that is known begins at character {rest[1]}"
+            raise FieldProblem(f"its schema {schema.name!r} cannot be parsed: {reason}") from error
+        self._messages = _messages(types, set(_ENUMERATION.findall(text)))
+        _size(self._name, self._messages, (), {})
+        self._times = {name for name in _TIMES if _is_time(self._messages[name])}
+        try:
+            self._decoder = generate_dynamic(self._name, self._text())[self._name]
         except Exception as error:  # of its own classes: names that ROS does not allow
             raise FieldProblem(f"its schema {schema.name!r} cannot be read: {error}") from error
+
+    def _text(self) -> str:
+        """Return the messages as mcap-ros2-support reads them, that of the schema first."""
+        parts = []
+        for name in dict.fromkeys([self._name, *self._messages]):
+            lines = [f"MSG: {name}"]
+            for field in self._messages[name]:
+                count = "" if field.elements == _VARIABLE else field.elements
+                inside = "" if field.elements is None else f"[{count}]"
+                lines.append(f"{field.type_name}{inside} {field.name}")
+            parts.append("\n".join(lines))
+        return f"\n{'=' * 80}\n".join(parts)
 
     def fields(self, sample: bytes) -> Iterator[tuple[str, str]]:
         """Yield names and types of the numeric fields; those of any length have ``[]``."""
@@ -93,7 +122,7 @@ class RosFormat(DecodedFormat):
             full = f"{prefix}{field.name}"
             inside = "" if field.elements is None else "[]"
             if field.is_message:
-                if is_time(field.type_name, self._messages):
+                if field.type_name in self._times:
                     yield full + inside, "time"
                 yield from self._leaves(field.type_name, f"{full}{inside}.")
             elif not field.type_name.endswith("string"):
@@ -110,26 +139,20 @@ class RosFormat(DecodedFormat):
                 f"the message of {len(data)} bytes cannot be decoded: {error}"
             ) from error
 
-    def _is_message(self, value: Any) -> bool:
-        return isinstance(value, SimpleNamespace)
+    def names(self, value: Any) -> Iterable[str] | None:
+        """Return the names of the fields of a message."""
+        return value.__slots__ if isinstance(value, SimpleNamespace) else None
 
-    def _field(self, message: Any, name: str) -> Any:
-        if name not in message.__slots__:
-            raise KeyError(name)
-        value = getattr(message, name)
+    def field(self, message: Any, name: str) -> Any:
+        """Return a field of a message."""
+        value = getattr(message, name) if name in (self.names(message) or ()) else MISSING
         return list(value) if isinstance(value, bytes) else value
 
-    def _stamp(self, message: Any) -> StampNs | None:
-        if not is_time(str(message._type), self._messages):
+    def stamp(self, message: Any) -> StampNs | None:
+        """Return a Time or a Duration."""
+        if str(message._type) not in self._times:
             return None
         return StampNs(message.sec * NANOSECONDS + message.nanosec)
-
-
-def _missing(library: str) -> FieldProblem:
-    return FieldProblem(
-        f"messages of ROS 2 need {library}, which is not installed: pip install {library}, or, in "
-        "a clone of cosim, pip install -e '.[ros]'"
-    )
 
 
 def _check_encapsulation(data: bytes) -> None:
@@ -141,58 +164,35 @@ def _check_encapsulation(data: bytes) -> None:
         raise FieldProblem(f"expected plain CDR (serialization 0 or 1), got serialization {kind}")
 
 
-def is_time(name: str, messages: RosMessages) -> bool:
-    """Return whether a message is a time, by its name and by what the schema says is in it."""
-    if name not in _TIMES:
-        return False
-    fields = {field.name: field.elements for field in messages[name]}
-    types = {field.type_name for field in messages[name]}
-    return fields == {"sec": None, "nanosec": None} and types <= {"int32", "uint32"}
+# --- schemas ---
 
 
-def short_name(name: str) -> str:
+def _short(name: str) -> str:
     """Return ``package/Name`` for ``package/msg/Name``, or for a name without a package."""
     parts = name.split("/")
     return f"{parts[0] if len(parts) > 1 else 'unnamed'}/{parts[-1]}"
 
 
-# --- schemas ---
+def _is_time(fields: Iterable[RosField]) -> bool:
+    """Return whether the schema says of a message with the name of a time that it is one."""
+    elements = {field.name: field.elements for field in fields}
+    types = {field.type_name for field in fields}
+    return elements == {"sec": None, "nanosec": None} and types <= {"int32", "uint32"}
 
 
-def read_messages(schema: ForeignSchema) -> RosMessages:
-    """Return the messages that a schema defines, by their names.
-
-    Raises
-    ------
-    FieldProblem
-        If it cannot be parsed or is refused, or rosbags is not installed.
-    """
-    try:
-        from rosbags.typesys import get_types_from_idl, get_types_from_msg
-        from rosbags.typesys.base import TypesysError
-    except ImportError as error:
-        raise _missing("rosbags") from error
-    text = _schema_text(schema)
-    try:
-        if schema.encoding == "ros2idl":
-            types = get_types_from_idl(_TITLES.sub("", text))
-        else:
-            types = get_types_from_msg(_SEPARATOR.sub("=" * 80, text), short_name(schema.name))
-    except (TypesysError, RecursionError, ValueError) as error:
-        reason, *rest = str(error).splitlines()
-        if len(rest) > 1:  # the text, and where in it
-            reason = f"nothing that is known begins at character {rest[1]}"
-        raise FieldProblem(f"its schema {schema.name!r} cannot be parsed: {reason}") from error
+def _messages(types: Mapping[str, Any], enumerations: Collection[str]) -> RosMessages:
+    """Return the messages that rosbags has read, and those that every schema knows."""
     messages: dict[str, tuple[RosField, ...]] = dict.fromkeys(_TIMES, _TIME)
-    enumerations = set(_ENUMERATION.findall(text))
+    defined = set(map(_short, types))
     for name, (_, fields) in types.items():
-        own = [_field(*field) for field in fields]
-        for number, field in enumerate(own):
-            is_defined = field.type_name in map(short_name, types)
-            if field.type_name.rpartition("/")[2] in enumerations and not is_defined:
-                own[number] = field._replace(type_name="uint32")
-        messages[short_name(name)] = tuple(own)
-    _size(short_name(schema.name), messages, (), {})
+        own = []
+        for described in fields:
+            field = _field(*described)
+            is_enumeration = field.type_name.rpartition("/")[2] in enumerations
+            if is_enumeration and field.type_name not in defined:
+                field = field._replace(type_name="uint32")
+            own.append(field)
+        messages[_short(name)] = tuple(own)
     return messages
 
 
@@ -215,7 +215,7 @@ def _field(name: str, described: Any) -> RosField:
         (kind, content), count = content
         if described[0].name == "SEQUENCE":
             count = _VARIABLE
-    type_name = content[0] if kind.name == "BASE" else short_name(content)
+    type_name = content[0] if kind.name == "BASE" else _short(content)
     type_name = _NUMBERS.get(type_name, type_name)
     is_known = kind.name == "NAME" or type_name in {*_NUMBERS.values(), "string"}
     if type_name.endswith("wstring") or not (is_known or _SIZED.fullmatch(type_name)):
@@ -251,19 +251,3 @@ def _size(name: str, messages: RosMessages, above: tuple[str, ...], sizes: dict[
             raise FieldProblem(f"its schema has more than {_MOST_FIELDS} fields")
         sizes[name] = total
     return sizes[name]
-
-
-def _text(name: str, messages: RosMessages) -> str:
-    """Return messages as mcap-ros2-support reads them, the one called ``name`` first."""
-    parts = []
-    for own in [name, *(other for other in messages if other != name)]:
-        lines = [f"MSG: {own}"]
-        for field in messages[own]:
-            count = (
-                ""
-                if field.elements is None
-                else f"[{'' if field.elements < 0 else field.elements}]"
-            )
-            lines.append(f"{field.type_name}{count} {field.name}")
-        parts.append("\n".join(lines))
-    return f"\n{'=' * 80}\n".join(parts)

@@ -1,22 +1,20 @@
-"""Numeric fields of messages in an MCAP file, as samples with their times.
+"""Numeric fields of messages in an MCAP file, as samples with their times; what a file has of them.
 
 One pass over the file keeps the requested fields, and nothing else. Messages need not be in order
 of time: they are sorted, and of several at one instant the last one in the file counts. The result
 says how many there were of both.
-
-How the messages of a channel are decoded: which format reads which encoding and schema.
 """
 
 from __future__ import annotations
 
 from array import array
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -33,6 +31,7 @@ from cosim.log.foreign.fields import (
     parse_path,
     split_field,
 )
+from cosim.log.foreign.formats import JsonFormat, MessageFormat, ProtobufFormat
 from cosim.log.foreign.topics import (
     ForeignChannel,
     ForeignMessage,
@@ -46,70 +45,6 @@ from cosim.log.foreign.topics import (
 
 MOST_LISTED: Final = 10_000  # fields of a message
 _READABLE: Final = "protobuf, json, or cdr with a schema in ros2msg or ros2idl"
-
-
-class MessageFormat(Protocol):
-    """How the messages of a channel are decoded."""
-
-    def fields(self, sample: bytes) -> Iterator[tuple[str, str]]:
-        """Yield names and types of the numeric fields; ``x[]`` may have any length.
-
-        ``sample`` is a message of the channel; empty: there is none.
-        """
-        ...
-
-    def decode(self, data: bytes) -> Any:
-        """Return a message, whatever that is; raise FieldProblem if it cannot be decoded."""
-        ...
-
-    def value(self, message: Any, path: FieldPath) -> Any:
-        """Return a number, a sequence of them, or None where the message has none.
-
-        Raises
-        ------
-        FieldProblem
-            If there is no such field, or it is no number.
-        """
-        ...
-
-
-def listed_fields(channel: ForeignChannel, sample: bytes) -> dict[str, str]:
-    """Return the types of the numeric fields of a channel's messages by name, at most 10 000.
-
-    Raises
-    ------
-    FieldProblem
-        As from :func:`format_of`, or if the message cannot be decoded.
-    """
-    return dict(islice(format_of(channel).fields(sample), MOST_LISTED))
-
-
-def format_of(channel: ForeignChannel) -> MessageFormat:
-    """Return how the messages of a channel are decoded.
-
-    Raises
-    ------
-    FieldProblem
-        If nothing here decodes them, or their schema cannot be parsed.
-    """
-    schema = channel.schema or ForeignSchema("", "", b"")
-    match channel.encoding, schema.encoding:
-        case "json", _:
-            from cosim.log.foreign.json_format import JsonFormat  # each only where it is needed
-
-            return JsonFormat()
-        case "protobuf", "protobuf":
-            from cosim.log.foreign.decoding import ProtobufFormat
-
-            return ProtobufFormat(schema)
-        case "cdr", "ros2msg" | "ros2idl":
-            from cosim.log.foreign.ros import RosFormat
-
-            return RosFormat(schema)
-    found = f"a schema in {schema.encoding!r}" if channel.schema is not None else "no schema"
-    raise FieldProblem(f"expected messages in {_READABLE}, got {channel.encoding!r} with {found}")
-
-
 LOG_TIME: Final = "log_time"
 PUBLISH_TIME: Final = "publish_time"
 MOST_NUMBERS: Final = 2**25  # that are kept of a file
@@ -141,11 +76,16 @@ class FieldSamples:
     values: Matrix
     spacing: Spacing
     is_discrete: bool
-    end_ns: int = 0
+    end_ns: int
 
 
 def read_fields(
-    path: Path, fields: Sequence[str], *, time: str = LOG_TIME, time_unit_ns: int = NANOSECONDS
+    path: Path,
+    fields: Sequence[str],
+    *,
+    time: str = LOG_TIME,
+    time_unit_ns: int = NANOSECONDS,
+    is_lenient: bool = False,
 ) -> list[FieldSamples]:
     """Read fields of messages, such as ``/drive/state.position`` and ``/joints.effort[0:3]``.
 
@@ -157,6 +97,8 @@ def read_fields(
         ``"log_time"``, ``"publish_time"``, or a field of the same messages, ``"header.stamp"``.
     time_unit_ns : int
         What a number that is a time counts, in ns.
+    is_lenient : bool
+        Leave out fields that no message has.
 
     Raises
     ------
@@ -164,45 +106,34 @@ def read_fields(
         If the file cannot be read or is damaged; a field is not there, is not a number, or has not
         always the same number of elements; a time is none.
     """
-    topics: dict[str, list[ForeignChannel]] = defaultdict(list)
+    channels: dict[str, list[ForeignChannel]] = defaultdict(list)
     for channel in read_channels(path):
-        topics[channel.topic].append(channel)
+        channels[channel.topic].append(channel)
+    asked: dict[str, dict[str, str]] = defaultdict(dict)
+    for name in fields:
+        topic, inside = _known_topic(path, name, channels)
+        asked[topic][name] = inside
     collectors: dict[str, _Collector] = {}
-    for name in dict.fromkeys(fields):
-        topic, inside = _known_topic(path, name, topics)
-        if topic not in collectors:
-            collectors[topic] = _Collector(path, topics[topic], time, time_unit_ns)
-        collectors[topic].add_field(name, inside)
-    for collector in collectors.values():
-        collector.begin()
+    for topic, paths in asked.items():
+        collectors[topic] = _Collector(path, channels[topic], paths, time, time_unit_ns)
     kept = 0
-    last = _LastTime(time)
-    for message in read_messages(path, lambda channel: channel.topic in collectors, last.take):
-        kept += collectors[message.channel.topic].take(message)
+    end_ns = -(2**63)
+    for message in read_messages(path):
+        collector = collectors.get(message.channel.topic)
+        if collector is not None:
+            kept += collector.take(message)
+        elif time in (LOG_TIME, PUBLISH_TIME):
+            end_ns = max(end_ns, getattr(message, time))
         if kept > MOST_NUMBERS:
             raise LogError(
                 f"{path} has more than {MOST_NUMBERS} numbers in {len(collectors)} topics; choose "
                 "fewer fields or a shorter file"
             )
-    samples = {}
+    end_ns = max([end_ns, *(collector.last_ns for collector in collectors.values())])
+    samples: dict[str, FieldSamples] = {}
     for collector in collectors.values():
-        for found in collector.samples():
-            samples[found.field] = found
-    end_ns = max([last.time_ns, *(int(found.time_ns[-1]) for found in samples.values())])
-    return [replace(samples[name], end_ns=end_ns) for name in fields]
-
-
-class _LastTime:
-    """The last time of the messages that are not read, if it is not in a field of them."""
-
-    def __init__(self, time: str) -> None:
-        self.time_ns = -(2**63)
-        self._place = {LOG_TIME: 0, PUBLISH_TIME: 1}.get(time)
-
-    def take(self, *times: int) -> None:
-        """Take the log time and the publish time of a message."""
-        if self._place is not None:
-            self.time_ns = max(self.time_ns, times[self._place])
+        samples |= {found.field: found for found in collector.samples(end_ns, is_lenient)}
+    return [samples[name] for name in fields if name in samples]
 
 
 def _known_topic(path: Path, name: str, topics: Mapping[str, Any]) -> tuple[str, str]:
@@ -274,47 +205,51 @@ class _Column:
 
 
 class _Collector:
-    """What is kept of the messages of a topic."""
+    """What is kept of the messages of a topic.
+
+    Parameters
+    ----------
+    path : Path
+    channels : sequence of ForeignChannel
+        Those of the topic.
+    fields : mapping of str to str
+        The path in the messages of each field.
+    time : str
+    time_unit_ns : int
+        See :func:`read_fields`.
+
+    Raises
+    ------
+    LogError
+        If a field is none, or nothing here decodes the messages.
+    """
 
     def __init__(
-        self, path: Path, channels: Sequence[ForeignChannel], time: str, time_unit_ns: int
+        self,
+        path: Path,
+        channels: Sequence[ForeignChannel],
+        fields: Mapping[str, str],
+        time: str,
+        time_unit_ns: int,
     ) -> None:
         self._path = path
         self._topic = channels[0].topic
-        self._channels = list(channels)
         self._time = time
         self._time_unit_ns = time_unit_ns
         self._columns: list[_Column] = []
         self._stamps = array("q")
-        self._formats: dict[int, MessageFormat] = {}
-        self._time_path: FieldPath = ()
-
-    def add_field(self, field: str, inside: str) -> None:
-        """Add a field of the topic that is kept, by its name and the path in the messages.
-
-        Raises
-        ------
-        LogError
-            If it is none.
-        """
-        with self._naming(field):
-            path = parse_path(inside)
-            if self._channels[0].encoding != "json" and not (path and isinstance(path[0], str)):
-                raise FieldProblem(f"expected {self._topic}.FIELD")
-        self._columns.append(_Column(field, path))
-
-    def begin(self) -> None:
-        """Check that the messages can be decoded.
-
-        Raises
-        ------
-        LogError
-            If nothing here does that.
-        """
-        if self._is_field_time:
-            with self._naming(f"{self._topic}.{self._time}"):
-                self._time_path = parse_path(self._time)
-        self._format_of(self._channels[0])
+        self._formats: dict[ForeignChannel, MessageFormat] = {}
+        for field, inside in fields.items():
+            with self._naming(field):
+                steps = parse_path(inside)
+                if channels[0].encoding != "json" and inside[:1] in ("", "["):
+                    raise FieldProblem(f"expected {self._topic}.FIELD")
+            self._columns.append(_Column(field, steps))
+        self._time_path: FieldPath | None = None
+        if time not in (LOG_TIME, PUBLISH_TIME):
+            with self._naming(f"{self._topic}.{time}"):
+                self._time_path = parse_path(time)
+        self._format_of(channels[0])
 
     @contextmanager
     def _naming(self, name: str) -> Iterator[None]:
@@ -326,17 +261,11 @@ class _Collector:
 
     def _format_of(self, channel: ForeignChannel) -> MessageFormat:
         """Return how the messages of a channel are decoded."""
-        found = self._formats.get(channel.id)
+        found = self._formats.get(channel)
         if found is None:
-            if channel not in self._channels:  # a summary need not list every channel
-                self._channels.append(channel)
             with self._naming(self._columns[-1].field):
-                found = self._formats[channel.id] = format_of(channel)
+                found = self._formats[channel] = format_of(channel)
         return found
-
-    @property
-    def _is_field_time(self) -> bool:
-        return self._time not in (LOG_TIME, PUBLISH_TIME)
 
     def take(self, message: ForeignMessage) -> int:
         """Keep the fields of a message; return how many numbers were kept.
@@ -348,24 +277,24 @@ class _Collector:
         """
         name = self._topic
         message_format = self._format_of(message.channel)
+        data = bytes(message.data)
+        if not self._stamps:
+            self._first = (message.channel, data)
         try:
-            decoded = message_format.decode(message.data)
+            decoded = message_format.decode(data)
             kept = 1
             for column in self._columns:
                 name = column.field
                 kept += column.add(message_format.value(decoded, column.path))
-            if self._is_field_time:
+            if self._time_path is not None:
                 name = f"{self._topic}.{self._time}"
                 value = message_format.value(decoded, self._time_path)
                 stamp = nanoseconds_in(value, self._time_unit_ns)
             else:
-                is_log_time = self._time == LOG_TIME
-                stamp = message.log_time if is_log_time else message.publish_time
+                stamp = getattr(message, self._time)
             self._stamps.append(stamp)
         except FieldProblem as error:
-            of_schema = f"schema {_schema_text(message.channel)}: "
-            reason = f"{of_schema if len(self._channels) > 1 else ''}{error}"
-            raise self._message_error(name, reason) from error
+            raise self._message_error(name, str(error)) from error
         except OverflowError:
             reason = f"expected a time below 2**63 ns (year 2262), got {stamp} ns"
             raise self._message_error(self._topic, reason) from None
@@ -375,7 +304,20 @@ class _Collector:
         number = len(self._stamps) + 1
         return LogError(f"{self._path}: {name!r}, message {number}: {reason}")
 
-    def samples(self) -> list[FieldSamples]:
+    @property
+    def last_ns(self) -> int:
+        """The latest time.
+
+        Raises
+        ------
+        LogError
+            If there are no messages.
+        """
+        if not self._stamps:
+            raise LogError(f"{self._path}: topic {self._topic!r} has no messages")
+        return max(self._stamps)
+
+    def samples(self, end_ns: int, is_lenient: bool) -> list[FieldSamples]:
         """Return what was kept, by ascending time.
 
         Raises
@@ -384,21 +326,19 @@ class _Collector:
             If no message has a field.
         """
         stamps = np.array(self._stamps, np.int64)
-        count = len(stamps)
-        if not count:
-            raise LogError(f"{self._path}: topic {self._topic!r} has no messages")
         spacing = spacing_of(stamps)
         order = np.argsort(stamps, kind="stable")
         ordered = stamps[order]
-        is_last = np.append(ordered[1:] != ordered[:-1], True)
-        kept = order[is_last]
+        kept = order[np.append(ordered[1:] != ordered[:-1], True)]
         samples = []
         for column in self._columns:
             if not column.size:
+                if is_lenient:
+                    continue
                 raise LogError(self._nothing_text(column))
-            values = column.values(count)[kept]
+            values = column.values(len(stamps))[kept]
             found = FieldSamples(
-                column.field, self._topic, stamps[kept], values, spacing, column.is_discrete
+                column.field, self._topic, stamps[kept], values, spacing, column.is_discrete, end_ns
             )
             samples.append(found)
         return samples
@@ -408,13 +348,103 @@ class _Collector:
         text = f"{self._path}: {column.field!r}: "
         if column.size == 0:
             return f"{text}expected numbers, got no elements"
-        for message in read_messages(self._path, lambda channel: channel.topic == self._topic):
-            fields = listed_fields(message.channel, message.data)
-            names = [field_text(self._topic, name) for name in fields]
-            return f"{text}no message has this field; {nearest(column.field, names)}"
-        raise AssertionError("there are messages, or nothing would be asked of them")
+        names = [field_text(self._topic, name) for name in listed_fields(*self._first)]
+        known = "" if column.field in names else f"; {nearest(column.field, names)}"
+        return f"{text}no message has this field{known}"
 
 
-def _schema_text(channel: ForeignChannel) -> str:
-    name = channel.schema.name if channel.schema is not None else "none"
-    return f"{name!r} in {channel.encoding!r}"
+# --- what a file has ---
+
+
+def listed_fields(channel: ForeignChannel, sample: bytes) -> dict[str, str]:
+    """Return the types of the numeric fields of a channel's messages by name, at most 10 000.
+
+    Raises
+    ------
+    FieldProblem
+        As from :func:`format_of`, or if the message cannot be decoded.
+    """
+    return dict(islice(format_of(channel).fields(sample), MOST_LISTED))
+
+
+def format_of(channel: ForeignChannel) -> MessageFormat:
+    """Return how the messages of a channel are decoded.
+
+    Raises
+    ------
+    FieldProblem
+        If nothing here decodes them, or their schema cannot be parsed.
+    """
+    schema = channel.schema or ForeignSchema("", "", b"")
+    match channel.encoding, schema.encoding:
+        case "json", _:
+            return JsonFormat()
+        case "protobuf", "protobuf":
+            return ProtobufFormat(schema)
+        case "cdr", "ros2msg" | "ros2idl":
+            from cosim.log.foreign.ros import RosFormat  # which needs an extra
+
+            return RosFormat(schema)
+    found = f"a schema in {schema.encoding!r}" if channel.schema is not None else "no schema"
+    raise FieldProblem(f"expected messages in {_READABLE}, got {channel.encoding!r} with {found}")
+
+
+class TopicSurvey(NamedTuple):
+    """A topic, or the part of it that has one schema.
+
+    Parameters
+    ----------
+    channel : ForeignChannel
+    spacing : Spacing or None
+        Of the messages by their log times; None: there are none.
+    fields : mapping of name to type
+        The numeric ones, ``/topic.a.b``; of JSON those of the first message.
+    problem : str
+        Why there are none; empty: nothing is wrong.
+    """
+
+    channel: ForeignChannel
+    spacing: Spacing | None
+    fields: dict[str, str]
+    problem: str
+
+
+def survey(path: Path) -> list[TopicSurvey]:
+    """Read all of a file once; of the messages only the first of every topic is decoded.
+
+    Raises
+    ------
+    LogError
+        If it cannot be read, is not MCAP, truncated or damaged, or has a time beyond 63 bits.
+    """
+    stamps: dict[ForeignChannel, array[int]] = {c: array("q") for c in read_channels(path)}
+    first: dict[ForeignChannel, bytes] = {}
+    for message in read_messages(path):
+        channel = message.channel
+        if channel not in first:
+            first[channel] = bytes(message.data)
+            stamps.setdefault(channel, array("q"))  # a summary need not list every channel
+        try:
+            stamps[channel].append(message.log_time)
+        except OverflowError:
+            raise LogError(
+                f"{path}: topic {channel.topic!r}: expected times below 2**63 ns (year 2262), got "
+                f"{message.log_time} ns"
+            ) from None
+    names = {channel.topic for channel in stamps}
+    found = [_surveyed(one, own, first.get(one, b""), names) for one, own in stamps.items()]
+    return sorted(found, key=lambda topic: topic.channel.topic)
+
+
+def _surveyed(
+    channel: ForeignChannel, stamps: array[int], first: bytes, topics: Collection[str]
+) -> TopicSurvey:
+    fields: dict[str, str] = {}
+    problem = ""
+    try:
+        for name, type_name in listed_fields(channel, first).items():
+            fields[field_text(channel.topic, name, topics)] = type_name
+    except FieldProblem as error:
+        problem = str(error)
+    spacing = spacing_of(np.array(stamps, np.int64)) if stamps else None
+    return TopicSurvey(channel, spacing, fields, problem)

@@ -6,7 +6,7 @@ The times of the messages of a topic: their order, repeated instants, and the la
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -108,8 +108,7 @@ OWN_METADATA: Final = "cosim.run"
 _MESSAGE: Final = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 
 
-@dataclass(frozen=True, slots=True)
-class ForeignSchema:
+class ForeignSchema(NamedTuple):
     """What the messages of a channel are made of, as the file says it."""
 
     name: str
@@ -117,76 +116,48 @@ class ForeignSchema:
     data: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class ForeignChannel:
-    """A channel of messages; several may have one topic.
+class ForeignChannel(NamedTuple):
+    """Messages of one encoding and schema; several such may have one topic."""
 
-    Parameters
-    ----------
-    id : int
-    topic : str
-    encoding : str
-        Of the messages.
-    schema : ForeignSchema or None
-    """
-
-    id: int
     topic: str
     encoding: str
     schema: ForeignSchema | None
 
 
 class ForeignMessage(NamedTuple):
-    """A message, and its two times [ns]."""
+    """A message, and its two times [ns]; its data until the next one is asked for."""
 
     channel: ForeignChannel
     log_time: int
     publish_time: int
-    data: bytes
+    data: memoryview
 
 
-class _ChannelTable:
-    """Schemas and channels of a file, each id with one meaning.
-
-    Raises
-    ------
-    LogError
-        If one is damaged, or has the id of another one.
-    """
+class _Declared:
+    """Schemas and channels of a file, each id with one meaning."""
 
     def __init__(self, file: Container) -> None:
         self.channels: dict[int, ForeignChannel] = {}
-        self._path = file.path
         self._schemas: dict[int, ForeignSchema] = {}
-        for record in (*file.schemas().values(), *file.channels().values()):
-            self._add(record)
+        try:
+            for record in (*file.schemas().values(), *file.channels().values()):
+                self.add(record)
+        except ValueError as error:
+            raise LogError(f"{file.path} is damaged: {error}") from error
 
-    def take(self, opcode: int, content: memoryview) -> None:
-        """Take the content of a record that stands among the messages."""
-        kinds = {Opcode.SCHEMA: records.Schema, Opcode.CHANNEL: records.Channel}
-        if opcode in kinds:
-            try:
-                record = parsed(kinds[Opcode(opcode)], content)
-            except MALFORMED as error:
-                reason = f"a schema or channel cannot be read: {error}"
-                raise LogError(f"{self._path} is damaged: {reason}") from error
-            self._add(record)
-
-    def _add(self, record: records.Schema | records.Channel) -> None:
-        problem = ""
+    def add(self, record: records.Schema | records.Channel) -> None:
+        """Add one; raise ValueError if it has the id of another one, or a schema of no id."""
         if isinstance(record, records.Schema):
             schema = ForeignSchema(record.name, record.encoding, bytes(record.data))
             if self._schemas.setdefault(record.id, schema) != schema:
-                problem = f"schema {record.id} is defined twice"
-        elif record.schema_id and record.schema_id not in self._schemas:
-            problem = f"there is no schema {record.schema_id} of {record.topic!r}"
-        else:
-            own = self._schemas.get(record.schema_id)
-            channel = ForeignChannel(record.id, record.topic, record.message_encoding, own)
-            if self.channels.setdefault(record.id, channel) != channel:
-                problem = f"channel {record.id} is defined twice"
-        if problem:
-            raise LogError(f"{self._path} is damaged: {problem}")
+                raise ValueError(f"schema {record.id} is defined twice")
+            return
+        if record.schema_id and record.schema_id not in self._schemas:
+            raise ValueError(f"there is no schema {record.schema_id} of {record.topic!r}")
+        own = self._schemas.get(record.schema_id)
+        channel = ForeignChannel(record.topic, record.message_encoding, own)
+        if self.channels.setdefault(record.id, channel) != channel:
+            raise ValueError(f"channel {record.id} is defined twice")
 
 
 def read_channels(path: Path) -> list[ForeignChannel]:
@@ -197,7 +168,7 @@ def read_channels(path: Path) -> list[ForeignChannel]:
     LogError
         If it cannot be read, is not MCAP, truncated or damaged.
     """
-    return list(_ChannelTable(Container(path)).channels.values())
+    return list(_Declared(Container(path)).channels.values())
 
 
 def is_foreign(path: Path) -> bool:
@@ -216,14 +187,8 @@ def is_foreign(path: Path) -> bool:
         return False  # whoever reads it says what is wrong
 
 
-def read_messages(
-    path: Path,
-    wanted: Callable[[ForeignChannel], bool],
-    skipped: Callable[[int, int], object] | None = None,
-) -> Iterator[ForeignMessage]:
-    """Yield the messages of the wanted channels in the order of the file.
-
-    ``skipped`` is called with the two times of each other message.
+def read_messages(path: Path) -> Iterator[ForeignMessage]:
+    """Yield the messages of a file in their order.
 
     Raises
     ------
@@ -231,23 +196,19 @@ def read_messages(
         If the file cannot be read, is not MCAP, truncated or damaged.
     """
     file = Container(path)
-    table = _ChannelTable(file)
-    is_wanted: dict[int, bool] = {}
+    declared = _Declared(file)
+    channels = declared.channels
+    kinds = {Opcode.SCHEMA: records.Schema, Opcode.CHANNEL: records.Channel}
     try:
         for block in file.blocks():
             for opcode, begin, stop in records_in(block):
-                if opcode != Opcode.MESSAGE:
-                    table.take(opcode, block[begin:stop])
-                    continue
-                number, _, log_time, publish_time = _MESSAGE.unpack_from(block, begin)
-                if number not in is_wanted:
-                    if number not in table.channels:
+                if opcode == Opcode.MESSAGE:
+                    number, _, logged, published = _MESSAGE.unpack_from(block, begin)
+                    if number not in channels:
                         raise ValueError(f"a message of the undeclared channel {number}")
-                    is_wanted[number] = wanted(table.channels[number])
-                if is_wanted[number]:
-                    data = bytes(block[begin + _MESSAGE.size : stop])
-                    yield ForeignMessage(table.channels[number], log_time, publish_time, data)
-                elif skipped is not None:
-                    skipped(log_time, publish_time)
-    except (ValueError, struct.error) as error:
+                    data = block[begin + _MESSAGE.size : stop]
+                    yield ForeignMessage(channels[number], logged, published, data)
+                elif opcode in kinds:
+                    declared.add(parsed(kinds[Opcode(opcode)], block[begin:stop]))
+    except MALFORMED as error:
         raise LogError(f"{path} is damaged: {error}") from error

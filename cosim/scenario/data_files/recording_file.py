@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final, final
@@ -15,16 +15,17 @@ from cosim.blocks.field_data import FieldSignal
 from cosim.core.recorded.run import RecordedRun
 from cosim.core.recording import TimedRows
 from cosim.core.signals import Channel, Interface, Signal
-from cosim.errors import LogError, UsageError, warn
+from cosim.errors import LogError, UsageError, listing, warn
 from cosim.files import expanded, file_type
 from cosim.instants import NANOSECONDS
-from cosim.log.foreign.samples import read_fields
-from cosim.log.foreign.survey import survey
+from cosim.log.foreign.fields import split_field
+from cosim.log.foreign.samples import read_fields, survey
 from cosim.log.foreign.topics import is_foreign
 from cosim.log.reader import open_log
 from cosim.scenario.data_files.field_file import field_data
 
 TABLE: Final = "table"  # the component of columns that name none
+VALUE: Final = "value"  # of messages that have no fields
 
 _WHOLE: Final = re.compile(r"\[0:\d+\]$")  # of a field that is a vector, all of its elements
 _MOST_SECONDS: Final = 2**63 / NANOSECONDS
@@ -172,24 +173,28 @@ def _table(path: Path) -> FileRun:
 
 def _messages(path: Path) -> FileRun:
     """Read the numeric fields of all topics that have any."""
-    topics: dict[str, dict[str, str]] = {}
+    topics: dict[str, dict[str, str]] = defaultdict(dict)
     for part in survey(path):
-        topics[part.topic] = {**topics.get(part.topic, {}), **part.fields}
+        topics[part.channel.topic] |= part.fields
     names = [name for fields in topics.values() for name in fields]
+    unknown = [name for name in names if "[]" in name]
+    if unknown:
+        warn([f"{path}: arrays of any length are left out: {listing(unknown)}"])
+    names = [name for name in names if name not in unknown]
     if not names:
         raise LogError(f"{path}: expected messages with numeric fields, got none")
-    found = dict(zip(names, read_fields(path, names), strict=True))
+    found = {one.field: one for one in read_fields(path, names, is_lenient=True)}
     channels: dict[str, Channel] = {}
     samples: dict[str, TimedRows] = {}
     start = 0
     for topic, fields in topics.items():
-        if not fields:
+        own = [found[field] for field in fields if field in found]
+        if not own:
             continue
-        own = [found[field] for field in fields]
         rows = np.hstack([each.values for each in own])
         signals = [
             Signal(
-                _WHOLE.sub("", each.field.removeprefix(f"{topic}.")),
+                _name(each.field, topic),
                 each.values.shape[1],
                 variability="discrete" if each.is_discrete else "continuous",
                 optional=True,
@@ -199,4 +204,14 @@ def _messages(path: Path) -> FileRun:
         channels[topic] = Channel(topic, Interface((), tuple(signals)), start)
         samples[topic] = own[0].time_ns, read_only(rows)
         start += rows.shape[1]
+    names = [f"{name}.{signal.name}" for name, one in channels.items() for signal in one.signals]
+    twice = [name for name, count in Counter(names).items() if count > 1]
+    if twice:
+        raise LogError(f"{path}: expected one field of each name, got two of {twice[0]!r}")
     return FileRun(str(path), channels, samples)
+
+
+def _name(field: str, topic: str) -> str:
+    """Return the name in a topic of a field; a message may be the number or the array itself."""
+    found = split_field(field, [topic])
+    return _WHOLE.sub("", found[1] if found else field) or VALUE

@@ -11,7 +11,7 @@ import cosim
 from cosim.errors import UsageError
 from cosim.report.inspection import describe_samples
 from cosim.scenario.data_files.field_file import read_field_data
-from tests.log.foreign.field_logs import EPOCH, write_json
+from tests.log.foreign_files import EPOCH, write_json
 from tests.scenario.data_files.test_tables import parquet
 from tests.scenario.refusals import check_refused
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from mcap_protobuf.writer import Writer
 
 import cosim
 from cosim.errors import LogError, UnknownSignalError, UsageError
 from cosim.log.conversion import convert
 from cosim.log.text import LogChoice
-from tests.log.foreign.field_logs import write_json
+from tests.log.foreign_files import state_class, write_json
 
 
 def table(folder, text):
@@ -62,6 +63,32 @@ def test_topics_are_components(tmp_path):
     assert run["/valve.p"].tolist() == [[1, 2]]
     assert run.channels["/valve"].by_name["open"].variability == "discrete"
     assert cosim.diff(run, run).equal
+
+
+def test_topics_and_fields_of_every_name_are_signals(tmp_path):
+    """Whatever has to be in quotes elsewhere; a message that is an array is ``value``."""
+    path = tmp_path / "a.mcap"
+    messages = {"/a": [(0, {"b.d": 1, "n": 2})], "/a.b": [(0, {"c": 3})], "/v": [(0, [4, 5])]}
+    write_json(path, messages)
+    run = cosim.open_recording(path)
+    names = [f"{name}.{port.name}" for name, one in run.channels.items() for port in one.signals]
+    assert names == ["/a.b.d", "/a.n", "/a.b.c", "/v.value"]
+    assert run["/v.value"].tolist() == [[4, 5]]
+    messages["/a.b"] = [(0, {"d": 3})]
+    write_json(path, messages)
+    with pytest.raises(LogError, match=r"one field of each name, got two of '/a\.b\.d'"):
+        cosim.open_recording(path)
+
+
+def test_fields_that_no_message_has_and_arrays_of_any_length_are_left_out(tmp_path):
+    """Of those that a schema in protobuf lists; the arrays with a warning."""
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as stream, Writer(stream) as writer:
+        writer.write_message("/t", state_class()(position=1.5, effort=[1.0, 2.0]), 5, 5)
+    with pytest.warns(cosim.CosimWarning, match=r"any length are left out: /t\.effort\[\], "):
+        run = cosim.open_recording(path)
+    assert [port.name for port in run.channels["/t"].signals] == ["position", "mode", "on", "count"]
+    assert run["/t.position"].tolist() == [1.5]
 
 
 def test_what_is_no_recording_is_refused(tmp_path):

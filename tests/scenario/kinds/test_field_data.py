@@ -23,7 +23,7 @@ from cosim.scenario.record import (
 from cosim.scenario.running.identifying import identifier_record
 from cosim.theory.plants.descriptor import reduce
 from tests.log.crafting import put_together, take_apart
-from tests.log.foreign.field_logs import EPOCH, write_json
+from tests.log.foreign_files import EPOCH, write_json
 from tests.scenario.field_recordings import (
     BOTH,
     COUNT,

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import struct
+from fractions import Fraction
 
+import numpy as np
 import pytest
-from mcap.writer import IndexType, Writer
+from mcap.writer import CompressionType, IndexType, Writer
 
 from cosim.errors import LogError
-from cosim.log.foreign.survey import survey
-from tests.log.foreign.field_logs import COMPRESSIONS, COUNT, EPOCH, raw_file, read, write_json
+from cosim.instants import NANOSECONDS
+from cosim.log.foreign.fields import FieldProblem, nanoseconds_in
+from cosim.log.foreign.samples import survey
+from tests.log.foreign_files import COMPRESSIONS, COUNT, EPOCH, raw_file, read, write_json
 
 FORMS = [
     *({"compression": compression} for compression in COMPRESSIONS.values()),
@@ -59,7 +64,7 @@ def test_messages_out_of_order_are_sorted_and_counted(tmp_path):
 
 
 def test_a_topic_of_two_schemas_is_read_where_both_have_the_field(tmp_path):
-    """Each message by its own; one that has no such field is refused with its schema."""
+    """Each message by its own; one that has no such field is refused."""
     path = tmp_path / "log.mcap"
     with path.open("wb") as stream:
         writer = Writer(stream)
@@ -74,9 +79,7 @@ def test_a_topic_of_two_schemas_is_read_where_both_have_the_field(tmp_path):
             writer.add_message(channel, EPOCH + index, data, EPOCH)
         writer.finish()
     assert read(path, "/t.x")[0].values[:, 0].tolist() == [1.5, 2.5]
-    with pytest.raises(
-        LogError, match=r"'/t.a', message 2: schema 'Two' in 'cdr': unknown field 'a'"
-    ):
+    with pytest.raises(LogError, match=r"'/t.a', message 2: unknown field 'a'; available: b, x"):
         read(path, "/t.a")
 
 
@@ -153,3 +156,130 @@ def test_a_summary_that_contradicts_the_data_is_refused(tmp_path):
     path.write_bytes(changed[:footer] + bytes(4) + changed[footer + 4 :])  # without a CRC
     with pytest.raises(LogError, match="is damaged: schema 1 is defined twice"):
         read(path, "/topic.x")
+
+
+# --- damaged, or made to do harm ---
+
+
+def chunk_start(data):
+    """Return where the content of the first chunk begins."""
+    position = 8
+    while data[position] != 6:
+        position += 9 + int.from_bytes(data[position + 1 : position + 9], "little")
+    return position + 9
+
+
+def put(shift, content):
+    """Return what writes something into the first chunk."""
+
+    def change(data):
+        begin = chunk_start(data) + shift
+        data[begin : begin + len(content)] = content
+
+    return change
+
+
+def flip(place):
+    """Return what flips a bit behind the start of the first chunk, or before the end."""
+
+    def change(data):
+        data[place if place < 0 else chunk_start(data) + place] ^= 1
+
+    return change
+
+
+def cut(data):
+    del data[chunk_start(data) + 300 :]
+
+
+def alter_value(data):
+    data[data.index(b'"x": 1') + 5] = ord("2")
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "text"),
+    [
+        (put(16, (2**40).to_bytes(8, "little")), {}, r"1099511627776 bytes .*67108864"),  # a bomb
+        (put(16, (100).to_bytes(8, "little")), {}, r"byte \d+: a chunk declares 100 bytes"),
+        (put(32, b"brot"), {}, "compression: expected zstd, lz4 or none, got 'brot'"),
+        *((flip(300), {"compression": c}, r"damaged at byte \d+") for c in COMPRESSIONS.values()),
+        (flip(-60), {}, r"is damaged at byte \d+"),  # the summary
+        (cut, {}, r"is truncated.*'mcap recover'"),
+        (
+            alter_value,
+            {"use_chunking": False, "enable_data_crcs": True},
+            "the CRC of the data does not match",
+        ),
+    ],
+)
+def test_damaged_files_are_refused(tmp_path, change, options, text):
+    """Before a byte more than declared is decompressed."""
+    rows = [(EPOCH + index, {"x": 1000 + index}) for index in range(COUNT)]
+    # without an index of chunks, with which they are compared first
+    path = write_json(tmp_path / "log.mcap", {"/t": rows}, index_types=IndexType.NONE, **options)
+    data = bytearray(path.read_bytes())
+    change(data)
+    path.write_bytes(data)
+    with pytest.raises(LogError, match=text):
+        read(path, "/t.x")
+
+
+def test_files_that_are_no_mcap_are_refused(tmp_path):
+    """With what they are."""
+    path = tmp_path / "x.mcap"
+    for content, text in [
+        (b"", "is empty; expected an MCAP file"),
+        (b"t,y\n0,1\n", "is not an MCAP file: expected (?!.*t,y)"),
+        (b"\x89MCAP0\r\n", "is truncated at byte 8: .*'mcap recover'"),
+    ]:
+        path.write_bytes(content)
+        with pytest.raises(LogError, match=rf"x\.mcap {text}"):
+            read(path, "/t.x")
+
+
+def test_a_large_message_is_refused(tmp_path, monkeypatch):
+    """Outside of chunks, where a length may say anything."""
+    monkeypatch.setattr("cosim.log.container.MOST_BYTES", 1000)
+    rows = [(EPOCH, {"x": 1, "text": "x" * 2000})]
+    path = write_json(tmp_path / "log.mcap", {"/t": rows}, use_chunking=False)
+    with pytest.raises(LogError, match=r"a record of \d+ bytes .*1000"):
+        read(path, "/t.x")
+
+
+def test_only_the_asked_topics_are_decoded(tmp_path):
+    """What stands in the others does not matter."""
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream, compression=CompressionType.LZ4)
+        writer.start()
+        for topic, encoding, data in (("/a", "json", b'{"x": 1}'), ("/a.b", "cbor", b"\xff")):
+            channel = writer.register_channel(topic, encoding, 0)
+            writer.add_message(channel, EPOCH, data, EPOCH)
+        writer.finish()
+    assert read(path, "/a.x")[0].values.tolist() == [[1.0]]
+
+
+# --- times within messages ---
+
+
+def test_a_time_is_the_nearest_ns_of_its_number():
+    """Though no float64 has as many digits as a time of today in ns."""
+    for unit_ns in (1, 1000, 10**6, NANOSECONDS):
+        random = np.random.default_rng(unit_ns)
+        # one rounding of a product below the unit, and one to whole ns
+        bound = Fraction(1, 2) + Fraction(unit_ns, 2**53)
+        for value in random.uniform(0.0, 4e18 / unit_ns, 500).tolist():
+            distance = abs(nanoseconds_in(value, unit_ns) - Fraction(value) * unit_ns)
+            assert distance <= bound, (value, unit_ns)
+    assert nanoseconds_in(1_700_000_000.0625, NANOSECONDS) == 1_700_000_000_062_500_000
+    assert nanoseconds_in(-1.5, NANOSECONDS) == -1_500_000_000
+    later = math.nextafter(2.2e9, math.inf)
+    between = nanoseconds_in(later, NANOSECONDS) - nanoseconds_in(2.2e9, NANOSECONDS)
+    assert between == round(Fraction(math.ulp(2.2e9)) * NANOSECONDS)
+
+
+def test_values_that_are_no_time_are_refused():
+    """Or are beyond the year 2262."""
+    for value in (math.nan, math.inf, 1e10, True, "1.5", None):
+        with pytest.raises(FieldProblem, match="expected a time, got"):
+            nanoseconds_in(value, NANOSECONDS)

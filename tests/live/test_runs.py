@@ -5,15 +5,15 @@ from __future__ import annotations
 import socket
 from contextlib import ExitStack
 
-import numpy as np
 import pytest
 
 import cosim
-from cosim.core.recorders import Watched
+from cosim.core.recorders import Memory, Watched
 from cosim.errors import UnknownSignalError
-from cosim.live import LiveServer
-from cosim.live.playback import Playback
+from cosim.live import play
+from tests.live.collecting import sent
 from tests.live.viewer import Viewer, fields
+from tests.log.recordings import layout, plan
 
 
 class Subscribing:
@@ -42,34 +42,16 @@ class Subscribing:
         return Watched(beside, lambda *_: None, began=subscribe)
 
 
-@pytest.mark.slow
 def test_the_rows_of_the_log_of_a_run_are_sent(collector, tmp_path):
     """Every row of every component bit for bit, also of slower ones, and the messages."""
     scenario = cosim.load("closed-loop").set({"scenario.stop": 0.2})
     log = cosim.run(scenario, out=tmp_path / "a.mcap", live=collector)
-    topics = collector.connection.topics
+    topics = sent(collector).topics
     for name in log.channels:
         assert topics[f"/{name}"].times == log.time_ns(name).tolist()
         assert topics[f"/{name}"].rows().tobytes() == log.rows(name).tobytes()
     texts = [message.message for _, message in topics["/cosim/log"].messages]
     assert texts == [message.text for message in log.messages()]
-    assert cosim.diff(log, cosim.run(scenario)).equal
-
-
-@pytest.mark.slow
-def test_a_viewer_receives_the_rows_of_the_log(server, tmp_path):
-    """Every row of every component bit for bit, also of slower ones, and the messages."""
-    scenario = cosim.load("closed-loop").set({"scenario.stop": 0.5})
-    with Subscribing(server, *(f"/{name}" for name in scenario.specs)) as live:
-        log = cosim.run(scenario, out=tmp_path / "a.mcap", live=live)
-        counts = {f"/{name}": len(log.time_ns(name)) for name in log.channels}
-        found = live.viewer.messages(counts)
-    for name in log.channels:
-        messages = found[f"/{name}"]
-        times = [time_ns for time_ns, _ in messages]
-        assert times == log.time_ns(name).tolist()
-        values = np.array([fields(message) for _, message in messages])
-        assert values.tobytes() == log.rows(name).tobytes()
     assert cosim.diff(log, cosim.run(scenario)).equal
 
 
@@ -92,13 +74,17 @@ offset = 0.5
 """
 
 
+def academic(folder, addition):
+    """Return the scenario of 0.2 s with something more in it."""
+    path = folder / "x.toml"
+    path.write_text(cosim.load("academic").document.text + addition)
+    return cosim.load(path).set({"scenario.stop": 0.2})
+
+
 def test_events_are_shown(collector, tmp_path):
     """With the schema and in the order that they have in the log."""
-    path = tmp_path / "x.toml"
-    text = cosim.load("academic").document.text
-    path.write_text(text + ACTION)
-    run = cosim.run(cosim.load(path).set({"scenario.stop": 0.2}), live=collector)
-    messages = collector.connection.topics["/cosim/event"].messages
+    run = cosim.run(academic(tmp_path, ACTION), live=collector)
+    messages = sent(collector).topics["/cosim/event"].messages
     events = [(time_ns, message.cause, message.signal) for time_ns, message in messages]
     assert events == [(event.time_ns, event.cause, event.signal) for event in run.events()]
     assert events
@@ -130,34 +116,34 @@ def test_a_viewer_that_vanishes_does_not_stop_the_run(server):
     assert (run.status, run.steps) == ("complete", 2000)
 
 
-@pytest.mark.slow
-def test_a_run_of_which_a_part_is_recorded_is_shown_as_a_whole(server, tmp_path):
+def test_a_run_of_which_a_part_is_recorded_is_shown_as_a_whole(collecting, tmp_path):
     """Its log is played as far as it goes."""
-    path = tmp_path / "x.toml"
-    text = cosim.load("academic").document.text
-    path.write_text(f'{text}\n[record]\nsignals = ["plant.y", "observer.*"]\nevery = 2\n')
-    scenario = cosim.load(path).set({"scenario.stop": 0.2})
-    with Subscribing(server, "/plant") as live:
-        log = cosim.run(scenario, out=tmp_path / "a.mcap", live=live)
-        messages = live.viewer.messages({"/plant": 201})["/plant"]
-    assert [message.y for _, message in messages][::2] == log["plant.y"].tolist()
-    with LiveServer(port=0) as again:
-        playback = Playback(log, again, speed=10.0)
-        with Viewer(again.url) as viewer:
-            viewer.subscribe("/plant", "/observer")
-            again.wait_for_viewer()
-            playback.run()
-            found = viewer.messages({"/plant": 101, "/observer": 101})
-        assert "/u" not in viewer.channels
-    assert [fields(message) for _, message in found["/plant"]] == log.rows("plant").tolist()
+    record = '\n[record]\nsignals = ["plant.y", "observer.*"]\nevery = 2\n'
+    with collecting() as server:
+        out = tmp_path / "a.mcap"
+        log = cosim.run(academic(tmp_path, record), out=out, live=server)
+    shown = sent(server).topics["/plant"]
+    assert len(shown.times) == 201
+    assert [message.y for _, message in shown.messages][::2] == log["plant.y"].tolist()
+    with collecting() as again:
+        assert play(log, again, speed=1000.0).factor == 1000.0
+    topics = sent(again).topics
+    assert topics.keys() == {"/cosim/log", "/plant", "/observer"}
+    assert topics["/plant"].rows().tolist() == log.rows("plant").tolist()
 
 
-@pytest.mark.usefixtures("collecting")
-def test_signals_that_the_run_has_not_are_refused_before_it_begins(tmp_path):
+def test_what_comes_behind_the_last_block_is_shown(collector):
+    """What comes before the run begins is not: it has no topics yet."""
+    with collector.beside(Memory(), {}) as recorder:
+        recorder.message(0, "error", "plant", "not built")
+        recorder.begin(plan(layout()))
+        recorder.message(5, "info", "plant", "the end")
+    ((time_ns, text),) = sent(collector).topics["/cosim/log"].messages
+    assert (time_ns, text.message) == (5, "the end")
+
+
+def test_signals_that_the_run_has_not_are_refused_before_it_begins(collecting, tmp_path):
     """There is no log then."""
-    with (
-        LiveServer(signals=["plant.z"]) as server,
-        pytest.raises(UnknownSignalError, match=r"'plant\.z'"),
-    ):
+    with collecting("plant.z") as server, pytest.raises(UnknownSignalError, match=r"'plant\.z'"):
         cosim.run("academic", out=tmp_path / "a.mcap", live=server)
     assert list(tmp_path.iterdir()) == []
