@@ -14,7 +14,7 @@ In the order in which to read it::
                                in Python and in compiled code
     recorders                  what takes the rows: memory, several recorders, a slice of a run
     recorded.run               what gives them back, by name and time, with what they rest on
-      selection, joined_rows   signals by pattern; those of several rates in one table, and frame
+      selection, joined_rows   signals by pattern; those of several rates in one table or frame
     simulation                 the same engine, step by step
       stepping/                actions and faults, jumps of inputs, states, rows
     ensemble                   many members of one graph

@@ -28,7 +28,7 @@ from cosim.core.initialization.initial_values import InitialValues
 from cosim.core.port import Port
 from cosim.core.recorded.run import RecordedRun
 from cosim.core.recording import Plan
-from cosim.core.signals import Channel, Variability
+from cosim.core.signals import Channel, Variability, column_names
 from cosim.core.stages.calls import GuardedComponent
 from cosim.core.stages.coupling import Stage
 from cosim.core.stages.left_limits import JumpColumns
@@ -533,11 +533,7 @@ class Graph:
 
     def labels(self) -> list[str]:
         """Return the name of every column: ``component.signal`` or ``component.signal[i]``."""
-        labels = []
-        for channel in self.layout.channels:
-            for signal in channel.signals:
-                labels += [f"{channel.name}.{element}" for element in signal.elements]
-        return labels
+        return column_names(self.layout)
 
     # --- structure ---
 

@@ -32,7 +32,7 @@ from cosim.core.recording import (
     Substep,
     TimedRows,
 )
-from cosim.core.signals import Channel, Layout
+from cosim.core.signals import Channel, column_names
 from cosim.errors import CosimError, Interrupted, LogError, UsageError, nearest
 from cosim.instants import StepNs
 
@@ -471,7 +471,7 @@ class Slice(Tee):
         if not all(partial.is_whole(name, chosen) for name in declared):
             is_start = columns == list(range(len(columns)))
             self._columns = slice(len(columns)) if is_start else np.array(columns, np.intp)
-            self._labels = frozenset(_labels(layout))
+            self._labels = frozenset(column_names(layout))
             plan = replace(plan, layout=layout, partial=partial)
         super().begin(plan)
 
@@ -507,15 +507,6 @@ class Slice(Tee):
             kept = {label: value for label, value in last.items() if label in self._labels}
             values = {**values, _LAST: kept}
         super().result(values)
-
-
-def _labels(layout: Layout) -> list[str]:
-    """Return the names of all elements, ``component.signal[0]``."""
-    labels = []
-    for channel in layout.channels:
-        for signal in channel.signals:
-            labels += [f"{channel.name}.{element}" for element in signal.elements]
-    return labels
 
 
 # --- memory that grows with a run ---

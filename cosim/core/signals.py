@@ -531,3 +531,11 @@ class Layout:
     def __getitem__(self, component: str) -> Channel:
         """Return the channel of a component."""
         return self._by_name[component]
+
+
+def column_names(layout: Layout) -> list[str]:
+    """Return the name of every column: ``component.signal`` or ``component.signal[i]``."""
+    names = []
+    for channel in layout.channels:
+        names += [f"{channel.name}.{element}" for element in element_names(channel.signals)]
+    return names

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from cosim.arguments import number_argument
 from cosim.arrays import Mask, Matrix, Nanoseconds, Vector
 from cosim.core.port import Port
+from cosim.core.recorded.joined_rows import to_pandas, to_polars, to_xarray
 from cosim.core.recorded.partial import PartialRecord, declared_channels, partial_of
 from cosim.core.recorded.signals import (
     WARNINGS,
@@ -407,8 +408,6 @@ class RecordedRun(Mapping[str, NDArray[np.float64]], Recording):
         LogError
             If a signal is unknown, or the file is damaged.
         """
-        from cosim.core.recorded.joined_rows import to_pandas  # few need it
-
         return to_pandas(self, signals)
 
     def to_polars(self, signals: Iterable[str] | str | None = None) -> polars.DataFrame:
@@ -423,8 +422,6 @@ class RecordedRun(Mapping[str, NDArray[np.float64]], Recording):
         LogError
             If a signal is unknown, or the file is damaged.
         """
-        from cosim.core.recorded.joined_rows import to_polars  # few need it
-
         return to_polars(self, signals)
 
     def to_xarray(self, signals: Iterable[str] | str | None = None) -> xarray.Dataset:
@@ -439,8 +436,6 @@ class RecordedRun(Mapping[str, NDArray[np.float64]], Recording):
         LogError
             If a signal is unknown, or the file is damaged.
         """
-        from cosim.core.recorded.joined_rows import to_xarray  # few need it
-
         return to_xarray(self, signals)
 
     def __repr__(self) -> str:
