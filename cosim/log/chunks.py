@@ -17,8 +17,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain, islice
-from threading import Lock
-from typing import Final, Generic, Literal, NamedTuple, TypeVar, final
+from typing import Final, Literal, NamedTuple, TypeVar, final
 
 import numpy as np
 import zstandard
@@ -133,32 +132,24 @@ THREADS_AHEAD: Final = max(1, min(_THREADS, (os.cpu_count() or 1) - 1))
 AHEAD: Final = 4  # calls that are begun while the result of the first one is still used
 
 
-@final
-class _Task(Generic[_Result]):
-    """A call that is made by whoever comes first."""
-
-    def __init__(self, work: Callable[[], _Result]) -> None:
-        self._work = work
-        self._claim = Lock()
-        self.outcome: Future[_Result] = Future()
-
-    def do(self) -> None:
-        """Make the call, unless another thread has begun to."""
-        if not self._claim.acquire(blocking=False):
-            return
-        try:
-            self.outcome.set_result(self._work())
-        except BaseException as error:  # is raised where the result is asked for
-            self.outcome.set_exception(error)
+def _called(work: Callable[[], _Result]) -> Future[_Result]:
+    """Make a call here; its error is raised where the result is asked for."""
+    outcome: Future[_Result] = Future()
+    try:
+        outcome.set_result(work())
+    except BaseException as error:
+        outcome.set_exception(error)
+    return outcome
 
 
-def _first_result(begun: deque[_Task[_Result]]) -> _Result:
-    """Remove the first of some tasks and return its result; do others rather than wait for it."""
-    for task in begun:
-        if begun[0].outcome.done():
+def _first_result(begun: deque[tuple[Future[_Result], Callable[[], _Result]]]) -> _Result:
+    """Remove the first of some calls and return its result; make others rather than wait for it."""
+    for place, (outcome, work) in enumerate(begun):
+        if begun[0][0].done():
             break
-        task.do()
-    return begun.popleft().outcome.result()
+        if outcome.cancel():  # no thread has begun it
+            begun[place] = (_called(work), work)
+    return begun.popleft()[0].result()
 
 
 @final
@@ -200,11 +191,9 @@ class Workers:
             for work in few:
                 yield work()
             return
-        begun: deque[_Task[_Result]] = deque()
+        begun: deque[tuple[Future[_Result], Callable[[], _Result]]] = deque()
         for work in chain(few, works):
-            task = _Task(work)
-            begun.append(task)
-            self.start(task.do)
+            begun.append((self.start(work), work))
             if len(begun) == AHEAD:
                 yield _first_result(begun)
         while begun:
