@@ -13,7 +13,8 @@ import mmap
 import os
 import re
 import struct
-from collections.abc import Callable, Iterator
+from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -53,8 +54,7 @@ _READ_BYTES: Final = 2**22
 _ATTACHMENT_TIMES: Final = 16  # bytes: log time, creation time
 
 
-@dataclass(frozen=True, slots=True)
-class RecordSpan:
+class RecordSpan(NamedTuple):
     """Bytes ``start`` to ``stop`` of a record, or of messages outside chunks, headers included."""
 
     opcode: int
@@ -75,8 +75,9 @@ class Places:
     ----------
     data : list of RecordSpan
         Chunks, and spans of messages outside chunks.
-    schemas, channels, metadata, attachments : list of RecordSpan
-        Outside chunks; an index leaves out schemas and channels, which its summary repeats.
+    others : dict of opcode to list of RecordSpan
+        Metadata and attachments; schemas and channels outside chunks, which an index leaves out, as
+        its summary repeats them.
     summary : Summary
         Empty where there is none.
     is_indexed : bool
@@ -87,10 +88,7 @@ class Places:
     """
 
     data: list[RecordSpan] = field(default_factory=list)
-    schemas: list[RecordSpan] = field(default_factory=list)
-    channels: list[RecordSpan] = field(default_factory=list)
-    metadata: list[RecordSpan] = field(default_factory=list)
-    attachments: list[RecordSpan] = field(default_factory=list)
+    others: dict[int, list[RecordSpan]] = field(default_factory=lambda: defaultdict(list))
     summary: Summary = field(default_factory=Summary)
     is_indexed: bool = False
     is_unfinished: bool = False
@@ -101,23 +99,17 @@ class Places:
         return [span for span in self.data if span.opcode == Opcode.CHUNK]
 
     def add(self, opcode: int, start: int, stop: int) -> None:
-        """Add a record of the data section to the list it belongs to."""
-        lists = {
-            Opcode.CHUNK: self.data,
-            Opcode.SCHEMA: self.schemas,
-            Opcode.CHANNEL: self.channels,
-            Opcode.METADATA: self.metadata,
-            Opcode.ATTACHMENT: self.attachments,
-        }
-        if opcode == Opcode.MESSAGE:
-            last = self.data[-1] if self.data else RecordSpan(Opcode.CHUNK, 0, 0)
+        """Add a record of the data section; messages side by side are one span."""
+        if opcode not in (Opcode.CHUNK, Opcode.MESSAGE):
+            self.others[opcode].append(RecordSpan(opcode, start, stop))
+            return
+        if opcode == Opcode.MESSAGE and self.data:
+            last = self.data[-1]
             is_adjacent = last.opcode == Opcode.MESSAGE and last.stop == start
             if is_adjacent and stop - last.start <= _SPAN_BYTES:
-                self.data[-1] = RecordSpan(opcode, last.start, stop)
-            else:
-                self.data.append(RecordSpan(opcode, start, stop))
-        elif opcode in lists:
-            lists[Opcode(opcode)].append(RecordSpan(opcode, start, stop))
+                start = last.start
+                del self.data[-1]
+        self.data.append(RecordSpan(opcode, start, stop))
 
 
 def damage_error(path: Path, offset: int, reason: str) -> LogError:
@@ -130,6 +122,23 @@ def parsed(kind: Any, content: bytes | memoryview) -> Any:
     return kind.read(ReadDataStream(BytesIO(content)))
 
 
+def record_bounds(block: bytes | memoryview, position: int) -> tuple[int, int]:
+    """Return opcode and end of the record that begins at a place of a chunk's content.
+
+    Raises
+    ------
+    ValueError
+        If no whole record is there.
+    """
+    if position + HEADER > len(block):
+        raise ValueError(f"{len(block) - position} surplus bytes in a chunk")
+    opcode, length = RECORD_HEADER.unpack_from(block, position)
+    stop: int = position + HEADER + length
+    if stop > len(block):
+        raise ValueError(f"a record of {length} bytes does not fit into its chunk")
+    return opcode, stop
+
+
 def records_in(block: bytes | memoryview) -> Iterator[tuple[int, int, int]]:
     """Yield opcode, start and end of the content of records one after the other.
 
@@ -139,16 +148,10 @@ def records_in(block: bytes | memoryview) -> Iterator[tuple[int, int, int]]:
         If the last one is not whole.
     """
     position = 0
-    size = len(block)
-    while position < size:
-        if position + HEADER > size:
-            raise ValueError(f"{size - position} surplus bytes in a chunk")
-        opcode, length = RECORD_HEADER.unpack_from(block, position)
-        begin = position + HEADER
-        position = begin + length
-        if position > size:
-            raise ValueError(f"a record of {length} bytes does not fit into its chunk")
-        yield opcode, begin, position
+    while position < len(block):
+        opcode, stop = record_bounds(block, position)
+        yield opcode, position + HEADER, stop
+        position = stop
 
 
 def library_of(stream: BinaryIO) -> str | None:
@@ -300,11 +303,12 @@ def indexed(path: Path, stream: BinaryIO) -> Places | None:
     footer = _footer(stream)
     if footer is None or not footer.start:
         return None
-    if not is_ours(stream) and (footer.crc or not _has_seal(stream, footer)):
-        return None
     section = _section(path, stream, footer)
+    sealed = b"" if footer.crc else _sealed(section, footer.start)
+    if not sealed and not is_ours(stream):  # no CRC vouches for the header that says so
+        return None
     if not footer.crc:
-        section = _sealed(section, footer.start)
+        section = sealed
         if not section:
             reason = "the CRC of the summary does not match its content"
             raise damage_error(path, footer.start, reason)
@@ -335,21 +339,14 @@ def _check_counts(path: Path, places: Places) -> None:
     statistics = places.summary.statistics
     if statistics is None:
         return
-    counts = (len(places.chunks), len(places.metadata), len(places.attachments))
+    others = [len(places.others[opcode]) for opcode in (Opcode.METADATA, Opcode.ATTACHMENT)]
+    counts = (len(places.chunks), *others)
     expected = (statistics.chunk_count, statistics.metadata_count, statistics.attachment_count)
     if counts != expected:
         raise LogError(
             f"{path} is damaged: expected {expected} chunks, metadata records and attachments, as "
             f"in its summary, got {counts}"
         )
-
-
-def _has_seal(stream: BinaryIO, footer: _Footer) -> bool:
-    """Return whether a seal vouches for a summary: no CRC does for the header before it."""
-    if not len(MAGIC) < footer.start < footer.position <= footer.start + _MOST_SUMMARY:
-        return False
-    stream.seek(footer.start)
-    return bool(_sealed(stream.read(footer.position - footer.start), footer.start))
 
 
 def _sealed(section: bytes, start: int) -> bytes:
@@ -512,10 +509,16 @@ def _intact_end(places: Places, content: mmap.mmap, start: int) -> int:
                 return 0
         if opcode == Opcode.ATTACHMENT and not _is_attachment(content, start + HEADER, stop):
             return 0
-        _INTACT[opcode](places, content[start:stop])
+        _check_intact(opcode, content[start:stop])
     except (*MALFORMED, EOFError, AssertionError):
         return 0
-    places.add(opcode, start, stop)
+    if opcode == Opcode.STATISTICS:
+        found = parsed(records.Statistics, content[start + HEADER : stop])
+        known = places.summary.statistics
+        if known is None or found.message_count > known.message_count:
+            places.summary.statistics = found
+    else:
+        places.add(opcode, start, stop)
     return stop
 
 
@@ -532,6 +535,44 @@ def _is_attachment(content: mmap.mmap, start: int, stop: int) -> bool:
     return bool(position + 8 + size + 4 == stop)
 
 
+def _check_intact(opcode: int, record: bytes) -> None:
+    """Check that a record is intact, as its content proves.
+
+    Raises
+    ------
+    ValueError
+        If it is not; or another of what is malformed.
+    """
+    match opcode:
+        case Opcode.CHUNK:
+            if not read_chunk_header(record, len(record)).crc:
+                raise ValueError("a chunk without a CRC")
+            decompressed(record)
+            is_ours = True
+        case Opcode.ATTACHMENT:
+            check_attachment(record, needs_crc=True)
+            parsed(records.Attachment, record[HEADER:])
+            is_ours = True
+        case Opcode.METADATA:
+            item = _whole(records.Metadata, record)
+            verify_checksum(item.name, item.metadata)
+            is_ours = bool(item.name)
+        case Opcode.SCHEMA:  # some bytes look like a record of nothing
+            schema = _whole(records.Schema, record)
+            is_ours = schema.encoding == "protobuf" and schema.name and schema.data
+        case Opcode.CHANNEL:
+            channel = _whole(records.Channel, record)
+            is_ours = channel.message_encoding == "protobuf" and channel.topic.startswith("/")
+            if any(key.startswith(PREFIX) for key in channel.metadata):
+                verify_checksum(_OF_CHANNELS, channel.metadata)
+        case _:  # nothing vouches for statistics but that they add up
+            found = _whole(records.Statistics, record)
+            counts = found.channel_message_counts.values()
+            is_ours = found.message_count and sum(counts) == found.message_count
+    if not is_ours:
+        raise ValueError("a record of another kind")
+
+
 def _whole(kind: Any, record: bytes) -> Any:
     """Read a record to its last byte."""
     content = BytesIO(record[HEADER:])
@@ -539,34 +580,6 @@ def _whole(kind: Any, record: bytes) -> Any:
     if content.tell() != len(record) - HEADER:
         raise ValueError("a record of another length")
     return value
-
-
-def _check_chunk(places: Places, record: bytes) -> None:
-    if not read_chunk_header(record, len(record)).crc:
-        raise ValueError("a chunk without a CRC")
-    decompressed(record)
-
-
-def _check_schema(places: Places, record: bytes) -> None:
-    schema = _whole(records.Schema, record)
-    # some bytes look like a record of nothing
-    if schema.encoding != "protobuf" or not schema.name or not schema.data:
-        raise ValueError("a schema of another kind")
-
-
-def _check_channel(places: Places, record: bytes) -> None:
-    channel = _whole(records.Channel, record)
-    if channel.message_encoding != "protobuf" or not channel.topic.startswith("/"):
-        raise ValueError("a channel of another kind")
-    if any(key.startswith(PREFIX) for key in channel.metadata):
-        verify_checksum(_OF_CHANNELS, channel.metadata)
-
-
-def _check_metadata(places: Places, record: bytes) -> None:
-    item = _whole(records.Metadata, record)
-    if not item.name:
-        raise ValueError("metadata without a name")
-    verify_checksum(item.name, item.metadata)
 
 
 def check_attachment(record: bytes, *, needs_crc: bool = False) -> None:
@@ -580,28 +593,3 @@ def check_attachment(record: bytes, *, needs_crc: bool = False) -> None:
     crc = int.from_bytes(record[-4:], "little")
     if (needs_crc or crc) and isal_zlib.crc32(record[HEADER:-4]) != crc:
         raise ValueError("the CRC of an attachment does not match its content")
-
-
-def _check_attachment(places: Places, record: bytes) -> None:
-    check_attachment(record, needs_crc=True)
-    parsed(records.Attachment, record[HEADER:])
-
-
-def _take_statistics(places: Places, record: bytes) -> None:
-    """Take the statistics of a file; nothing vouches for them but that they add up."""
-    found = _whole(records.Statistics, record)
-    if not found.message_count or sum(found.channel_message_counts.values()) != found.message_count:
-        raise ValueError("statistics that do not add up")
-    known = places.summary.statistics
-    if known is None or found.message_count > known.message_count:
-        places.summary.statistics = found
-
-
-_INTACT: Final[dict[int, Callable[[Places, bytes], None]]] = {
-    Opcode.CHUNK: _check_chunk,
-    Opcode.SCHEMA: _check_schema,
-    Opcode.CHANNEL: _check_channel,
-    Opcode.METADATA: _check_metadata,
-    Opcode.ATTACHMENT: _check_attachment,
-    Opcode.STATISTICS: _take_statistics,
-}
