@@ -5,6 +5,7 @@ A component's rows are read when first asked for, chunk by chunk, with every CRC
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from operator import attrgetter, itemgetter
@@ -19,7 +20,7 @@ from cosim.arguments import log_argument
 from cosim.arrays import Mask, Matrix, Nanoseconds
 from cosim.core.contracts import Design
 from cosim.core.recorded.partial import PartialChannels, declared_channels
-from cosim.core.recorded.run import RecordedRun, blocks_within
+from cosim.core.recorded.run import RecordedRun
 from cosim.core.recorded.selection import select_signals
 from cosim.core.recorded.signals import RunMessage, find_channel
 from cosim.core.recorders import Memory
@@ -33,7 +34,9 @@ from cosim.log.files import OwnFile, log_path
 from cosim.log.layout import read_channels, read_number, read_partial, read_parts
 from cosim.log.messages import decode_event, decode_log, decode_substep
 from cosim.log.metadata import (
+    combine_hashes,
     decode_design,
+    hash_input,
     hash_signals,
     json_table,
     json_texts,
@@ -180,15 +183,10 @@ class Log(RecordedRun):
         From the result, or, of an unfinished log, from the numbers of its rows.
         """
         if self._is_unfinished:
-            return self._last_step
+            return self._last_step(self._first_steps)
         return self._result_number("steps")
 
-    @property
-    def _last_step(self) -> int:
-        """The last step that a component has a row of."""
-        return self._last_step_from(self._first_steps)
-
-    def _last_step_from(self, first_steps: Mapping[str, int]) -> int:
+    def _last_step(self, first_steps: Mapping[str, int]) -> int:
         """Return the last step that a component has a row of, by the steps of first rows."""
         last = 0
         for number, part in self._parts.items():
@@ -207,7 +205,7 @@ class Log(RecordedRun):
         read.
         """
         at_start = dict.fromkeys(self._channels, 0)
-        end_ns = self._grid.stamp(self._last_step_from(at_start))
+        end_ns = self._grid.stamp(self._last_step(at_start))
         statistics = self._file.summary.statistics
         if statistics is None or end_ns == int(statistics.message_end_time):
             return at_start
@@ -231,17 +229,11 @@ class Log(RecordedRun):
         steps = {}
         every_step = [name for name, own in self._channels.items() if own.period == 1]
         for name in every_step[:1] or self._channels:
-            first_ns = self._first_row_ns(name)
-            if first_ns is not None:
-                steps[name] = self._grid.number(first_ns)
+            blocks = (time_ns for time_ns, _ in self.blocks(name, first_ns=0) if len(time_ns))
+            first = next(blocks, None)
+            if first is not None:
+                steps[name] = self._grid.number(int(first[0]))
         return steps
-
-    def _first_row_ns(self, component: str) -> int | None:
-        """Return the first instant of a component [ns]; None: it has no row."""
-        for time_ns, _ in self.blocks(component, first_ns=0):
-            if len(time_ns):
-                return int(time_ns[0])
-        return None
 
     @property
     def _message_start_ns(self) -> int:
@@ -349,7 +341,7 @@ class Log(RecordedRun):
         LogError
             If the file is damaged.
         """
-        find_channel(self._channels, component, source=str(self.path))
+        self._check_known(component)
         return self._rows.of(component)[1]
 
     def time_ns(self, component: str) -> Nanoseconds:
@@ -362,12 +354,12 @@ class Log(RecordedRun):
         LogError
             If the file is damaged.
         """
-        find_channel(self._channels, component, source=str(self.path))
-        return self._rows.times(component)
+        self._check_known(component)
+        return self._rows.of(component, slice(0, 0))[0]
 
     def columns(self, component: str, columns: slice) -> Matrix:
         """Return some columns of a component's rows, shape (N, columns); read-only."""
-        return self._rows.columns(component, columns)
+        return self._rows.of(component, columns)[1]
 
     def blocks(
         self, component: str, *, first_ns: int | None = None, last_ns: int | None = None
@@ -389,7 +381,6 @@ class Log(RecordedRun):
         LogError
             If the file is damaged.
         """
-        find_channel(self._channels, component, source=str(self.path))
         for _, time_ns, rows in self.blocks_of([component], first_ns=first_ns, last_ns=last_ns):
             yield time_ns, rows
 
@@ -411,11 +402,12 @@ class Log(RecordedRun):
         LogError
             If the file is damaged.
         """
+        self._check_known(*components)
+        yield from self._rows.blocks(components, first_ns, last_ns)
+
+    def _check_known(self, *components: str) -> None:
         for name in components:
             find_channel(self._channels, name, source=str(self.path))
-        for name, time_ns, rows in self._rows.blocks(components, first_ns, last_ns):
-            for part in blocks_within(iter([(time_ns, rows)]), first_ns, last_ns):
-                yield name, *part
 
     @property
     def row_bytes(self) -> int:
@@ -430,7 +422,7 @@ class Log(RecordedRun):
         UnknownSignalError
             If there is no such component; names the nearest.
         """
-        find_channel(self._channels, component, source=str(self.path))
+        self._check_known(component)
         return self._rows.shares_chunks(component)
 
     def load(self, *components: str) -> None:
@@ -443,8 +435,7 @@ class Log(RecordedRun):
         LogError
             If the file is damaged.
         """
-        for name in components:
-            find_channel(self._channels, name, source=str(self.path))
+        self._check_known(*components)
         self._rows.load(components)
 
     def attachment(self, name: str) -> bytes:
@@ -478,12 +469,9 @@ class Log(RecordedRun):
         LogError
             If the file is damaged.
         """
-        try:
-            for time_ns, data in self._messages_of(LOG_TOPIC):
-                level, source, text = decode_log(data)
-                yield RunMessage(time_ns, level, source, text)
-        except MALFORMED as error:
-            raise LogError(f"{self.path} is damaged: {error}") from error
+        return self._messages_of(
+            LOG_TOPIC, lambda time_ns, data: RunMessage(time_ns, *decode_log(data))
+        )
 
     def events(self) -> list[SignalEvent]:
         """Return the jumps of signals, in the order of time.
@@ -493,10 +481,7 @@ class Log(RecordedRun):
         LogError
             If the file is damaged.
         """
-        try:
-            events = [decode_event(*message) for message in self._messages_of(EVENT_TOPIC)]
-        except MALFORMED as error:
-            raise LogError(f"{self.path} is damaged: {error}") from error
+        events = self._messages_of(EVENT_TOPIC, decode_event)
         return sorted(events, key=lambda event: event.time_ns)
 
     def substeps(self) -> list[Substep]:
@@ -507,10 +492,7 @@ class Log(RecordedRun):
         LogError
             If the file is damaged.
         """
-        try:
-            substeps = [decode_substep(data) for _, data in self._messages_of(STEP_TOPIC)]
-        except MALFORMED as error:
-            raise LogError(f"{self.path} is damaged: {error}") from error
+        substeps = self._messages_of(STEP_TOPIC, lambda _, data: decode_substep(data))
         return sorted(substeps, key=attrgetter("begin"))
 
     def message_counts(self) -> dict[str, int]:
@@ -525,7 +507,7 @@ class Log(RecordedRun):
         statistics = self._file.summary.statistics
         for topic in _TOPICS:
             if statistics is None:
-                count = sum(1 for _ in self._messages_of(topic))
+                count = sum(1 for _ in self._messages_of(topic, lambda *_: None))
             else:
                 numbers = statistics.channel_message_counts
                 count = sum(numbers.get(number, 0) for number in self._channels_of(topic))
@@ -549,33 +531,37 @@ class Log(RecordedRun):
             If the file is damaged.
         """
         messages = []
-        try:
-            for topic in _TOPICS:
-                for time_ns, data in self._messages_of(topic, first_ns, last_ns):
-                    is_late = first_ns is None or time_ns >= first_ns
-                    if is_late and (last_ns is None or time_ns <= last_ns):
-                        messages.append((topic, time_ns, data))
-        except MALFORMED as error:
-            raise LogError(f"{self.path} is damaged: {error}") from error
+        for topic in _TOPICS:
+            own = self._messages_of(topic, lambda *message: message, first_ns, last_ns)
+            messages += [(topic, *message) for message in own]
         return sorted(messages, key=itemgetter(1))
 
     def _channels_of(self, topic: str) -> set[int]:
         return {number for number, channel in self._declared.items() if channel.topic == topic}
 
     def _messages_of(
-        self, topic: str, first_ns: int | None = None, last_ns: int | None = None
-    ) -> Iterator[tuple[int, bytes]]:
-        """Yield time [ns] and data of the messages of a topic, in the order of the file.
+        self,
+        topic: str,
+        decode: Callable[[int, bytes], _Parsed],
+        first_ns: int | None = None,
+        last_ns: int | None = None,
+    ) -> Iterator[_Parsed]:
+        """Yield the messages of a topic, decoded with their times, in the order of the file.
 
-        Chunks without messages in ``first_ns <= time <= last_ns`` are not read.
+        Only those in ``first_ns <= time <= last_ns``; other chunks are not read.
         """
         channel_ids = self._channels_of(topic)
         if not channel_ids:
             return
-        for record in self._rows.other_records(channel_ids, first_ns, last_ns):
-            if record.opcode == Opcode.MESSAGE and record.channel_id in channel_ids:
-                time_ns = int.from_bytes(record.content[_LOG_TIME], "little")
-                yield time_ns, bytes(record.content[_DATA])
+        try:
+            for record in self._rows.other_records(channel_ids, first_ns, last_ns):
+                if record.opcode == Opcode.MESSAGE and record.channel_id in channel_ids:
+                    time_ns = int.from_bytes(record.content[_LOG_TIME], "little")
+                    is_late = first_ns is None or time_ns >= first_ns
+                    if is_late and (last_ns is None or time_ns <= last_ns):
+                        yield decode(time_ns, record.content[_DATA])
+        except MALFORMED as error:
+            raise LogError(f"{self.path} is damaged: {error}") from error
 
     def content_hash(self) -> str:
         """Compute the hash of every bit of every signal from the rows, in one pass over the file.
@@ -587,7 +573,17 @@ class Log(RecordedRun):
         LogError
             If the file is damaged, or has too many rows to be sorted.
         """
-        return self._rows.content_hash()
+        digests = {name: hashlib.sha256() for name in self._channels}
+        for name, time_ns, rows in self._rows.blocks(list(digests), None, None):
+            digests[name].update(hash_input(time_ns, rows))
+        components = []
+        for number, part in self._parts.items():
+            if part.columns.start == 0:
+                # as it was recorded: written anew, it would have what a later version adds to it
+                signals = self._declared[number].metadata["cosim.signals"]
+                name = part.channel.name
+                components.append((name, signals, digests[name].hexdigest()))
+        return combine_hashes(components)
 
     def signal_hashes(self, signals: Iterable[str] | str | None = None) -> dict[str, str]:
         """Compute a hash of the times and bits of each signal, in one pass over each component.

@@ -198,7 +198,7 @@ def test_the_end_of_a_run_is_known_without_reading_rows(tmp_path):
     log = open_log(tmp_path / "a.mcap")
     assert log.steps == 123
     assert log.end_ns == 123 * STEP_NS
-    assert not log._rows._loaded
+    assert not log._rows._kept
     assert log.end_ns == log.time_ns("plant")[-1]
 
 
