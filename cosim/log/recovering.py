@@ -5,8 +5,8 @@ Rows that are found twice are recognized by their times.
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections import Counter, defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, final
@@ -21,7 +21,7 @@ from cosim.log.container import Container
 from cosim.log.files import log_path
 from cosim.log.pieces import LogPieces, gathered, write_log
 from cosim.log.places import MALFORMED
-from cosim.log.preamble import PARTIAL_STATUS, RESULT, ResultItems
+from cosim.log.preamble import PARTIAL_STATUS, RESULT
 from cosim.log.reader import Log
 from cosim.log.unfinished import UnfinishedLog
 
@@ -171,8 +171,25 @@ def recover(path: Path, out: Path, *, force: bool = False) -> RecoveredLog:
     if not any(len(time_ns) for time_ns in times.values()):
         raise LogError(f"{path}: no intact row; run it again")
     selection = _Selection(pieces, times)
-    rows, end_ns, end_is_known = _missing(declared, times)
-    end = _end(path, pieces, rows, times)
+    first_row = min(int(own[0]) for own in times.values() if len(own))
+    last_row = max(int(own[-1]) for own in times.values() if len(own))
+    of_run = declared.metadata.get(RESULT, {})
+    known_end = of_run.get("end_ns", "")
+    end_is_known = known_end.isdecimal()
+    end_ns = int(known_end) if end_is_known else last_row
+    # The file of a part of a run has never had the rows before it.
+    is_part = of_run.get("status") == PARTIAL_STATUS
+    start_ns = first_row if is_part else min(declared.start_ns, first_row)
+    rows = {}
+    for part in declared.parts.values():
+        name = part.channel.name
+        own = times.get(name, np.empty(0, np.int64))
+        grid = Grid(start_ns, part.step_ns)
+        rows[name] = missing_rows(own, grid, part.channel.period, max(end_ns, last_row))
+    # A run without holes was interrupted at its last row.
+    is_begun = first_row == pieces.start_ns and not any(own.lost for own in rows.values())
+    status = "interrupted" if is_begun else PARTIAL_STATUS
+    end = pieces.end_of(status, f"recovered from {path.name}", last_row)
     has_all_messages = _has_all_messages(file, pieces, counts)
     if not has_all_messages:  # without them it is not the log of the run, whatever its hash is
         pieces = replace(pieces, metadata=pieces.kept_metadata)
@@ -183,14 +200,12 @@ def recover(path: Path, out: Path, *, force: bool = False) -> RecoveredLog:
 
 def _complete_components(pieces: LogPieces) -> LogPieces:
     """Return the pieces without components that have lost a channel: no row is whole there."""
-    sizes: dict[str, int] = {}
+    sizes: Counter[str] = Counter()
     for part in pieces.parts.values():
-        name = part.channel.name
-        sizes[name] = sizes.get(name, 0) + part.size
+        sizes[part.channel.name] += part.size
     lost = set()
     for number, part in pieces.parts.items():
-        width = part.channel.columns.stop - part.channel.start
-        if sizes[part.channel.name] != width:
+        if sizes[part.channel.name] != part.channel.columns.stop - part.channel.start:
             lost.add(number)
     return replace(pieces, channels=[own for own in pieces.channels if own.id not in lost])
 
@@ -243,24 +258,24 @@ class _Selection:
     """
 
     def __init__(self, pieces: LogPieces, times: Mapping[str, Nanoseconds]) -> None:
-        self._names = {number: part.channel.name for number, part in pieces.parts.items()}
-        self._times = times
+        self._times = {number: times[part.channel.name] for number, part in pieces.parts.items()}
+        self._taken = {number: np.zeros(len(own), np.bool_) for number, own in self._times.items()}
         self._known = {channel.id for channel in pieces.channels}
-        self._taken = {
-            number: np.zeros(len(times[name]), np.bool_) for number, name in self._names.items()
-        }
         self._messages: set[tuple[int, bytes]] = set()
 
     def wanted(self, number: int, time_ns: Nanoseconds, contents: list[bytes] | None) -> Mask:
         """Return which of some messages of a channel are wanted."""
-        if number not in self._known:
-            return np.zeros(len(time_ns), np.bool_)
-        if contents is None:
+        if number in self._taken:
             return self._wanted_rows(number, time_ns)
-        return self._wanted_messages(number, contents)
+        wanted = np.zeros(len(time_ns), np.bool_)
+        if number in self._known:
+            for place, content in enumerate(contents or ()):
+                wanted[place] = (number, content) not in self._messages
+                self._messages.add((number, content))
+        return wanted
 
     def _wanted_rows(self, number: int, time_ns: Nanoseconds) -> Mask:
-        all_times = self._times[self._names[number]]
+        all_times = self._times[number]
         taken = self._taken[number]
         wanted: Mask = np.zeros(len(time_ns), np.bool_)
         if not len(all_times):
@@ -273,46 +288,3 @@ class _Selection:
         wanted[possible[firsts]] = True
         taken[places[wanted]] = True
         return wanted
-
-    def _wanted_messages(self, number: int, contents: Iterable[bytes]) -> Mask:
-        wanted = []
-        for content in contents:
-            key = number, content
-            wanted.append(key not in self._messages)
-            self._messages.add(key)
-        return np.array(wanted, np.bool_)
-
-
-def _missing(
-    pieces: LogPieces, times: Mapping[str, Nanoseconds]
-) -> tuple[dict[str, RecoveredRows], int, bool]:
-    """Return the missing rows of each component, up to when, and whether that is the end."""
-    last_row = max(int(own[-1]) for own in times.values() if len(own))
-    of_file = pieces.metadata.get(RESULT, {})
-    known_end = of_file.get("end_ns", "")
-    end_ns = int(known_end) if known_end.isdecimal() else last_row
-    first_row = min(int(own[0]) for own in times.values() if len(own))
-    # The file of a part of a run has never had the rows before it.
-    is_part = of_file.get("status") == PARTIAL_STATUS
-    start_ns = first_row if is_part else min(pieces.start_ns, first_row)
-    rows = {}
-    for part in pieces.parts.values():
-        name = part.channel.name
-        grid = Grid(start_ns, part.step_ns)
-        own = times.get(name, np.empty(0, np.int64))
-        rows[name] = missing_rows(own, grid, part.channel.period, max(end_ns, last_row))
-    return rows, end_ns, known_end.isdecimal()
-
-
-def _end(
-    path: Path,
-    pieces: LogPieces,
-    rows: Mapping[str, RecoveredRows],
-    times: Mapping[str, Nanoseconds],
-) -> ResultItems:
-    """Return how the recovered log ends: a run without holes was interrupted at its last row."""
-    last_row = max(int(own[-1]) for own in times.values() if len(own))
-    first_row = min(int(own[0]) for own in times.values() if len(own))
-    begins = first_row == pieces.start_ns and not any(own.lost for own in rows.values())
-    status = "interrupted" if begins else PARTIAL_STATUS
-    return pieces.end_of(status, f"recovered from {path.name}", last_row)
