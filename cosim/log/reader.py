@@ -59,6 +59,7 @@ _LOG_TIME = slice(6, 14)  # of a message record's content
 _DATA = slice(22, None)
 _TOPICS = (LOG_TOPIC, EVENT_TOPIC, STEP_TOPIC)  # of messages beside the rows
 _Parsed = TypeVar("_Parsed")
+_Text = TypeVar("_Text")
 
 
 def open_log(path: Path | str) -> Log:
@@ -268,10 +269,9 @@ class Log(RecordedRun):
         """
         if self._is_unfinished:
             return None
-        try:
-            return self._metadata[RESULT]["content_hash"]
-        except KeyError as error:
-            raise self._missing("content_hash") from error
+        if "content_hash" not in self._metadata.get(RESULT, {}):
+            raise self._missing("content_hash")
+        return self._metadata[RESULT]["content_hash"]
 
     @property
     def schedule(self) -> list[str]:
@@ -283,10 +283,7 @@ class Log(RecordedRun):
             If they are not a list of strings.
         """
         text = self._metadata.get("cosim.schedule", {}).get("stages", "[]")
-        try:
-            return json_texts(text)
-        except MALFORMED as error:
-            raise LogError(f"{self.path}: stages cannot be parsed: {error}") from error
+        return self._parsed("stages", json_texts, text)
 
     @property
     def results(self) -> Mapping[str, Any]:
@@ -301,10 +298,7 @@ class Log(RecordedRun):
         """
         if RESULT_FILE not in self._attachments:
             return {}
-        try:
-            return json_table(self.attachment(RESULT_FILE))
-        except ValueError as error:
-            raise LogError(f"{self.path}: {RESULT_FILE} cannot be read: {error}") from error
+        return self._parsed(RESULT_FILE, json_table, self.attachment(RESULT_FILE))
 
     @cached_property
     def designs(self) -> Mapping[str, Design]:
@@ -644,12 +638,11 @@ class Log(RecordedRun):
         LogError
             If that cannot be parsed.
         """
-        try:
-            found = read_partial(self._metadata, self._channels)
-        except (*MALFORMED, GraphError) as error:
-            raise LogError(
-                f"{self.path}: the record of the run cannot be parsed: {error}"
-            ) from error
+        found = self._parsed(
+            "the record of the run",
+            lambda items: read_partial(items, self._channels),
+            self._metadata,
+        )
         if found is not None:
             partial, self._kinds = found
             self._channels = PartialChannels(self._channels, partial)
@@ -664,12 +657,9 @@ class Log(RecordedRun):
         return metadata
 
     def _result_number(self, key: str) -> int:
-        try:
-            return read_number(self._metadata[RESULT][key])
-        except KeyError as error:
-            raise self._missing(key) from error
-        except ValueError as error:
-            raise LogError(f"{self.path}: {key} cannot be parsed: {error}") from error
+        if key not in self._metadata.get(RESULT, {}):
+            raise self._missing(key)
+        return self._parsed(key, read_number, self._metadata[RESULT][key])
 
     def _missing(self, key: str) -> LogError:
         return LogError(
@@ -682,12 +672,15 @@ class Log(RecordedRun):
         """Parse a component's metadata; ``default`` where another tool left them out."""
         items = self._metadata.get(f"cosim.component.{component}", {})
         text = items.get(key)
+        if text is None:
+            return default
+        return self._parsed(f"{key} of {component!r}", parse, text)
+
+    def _parsed(self, what: str, parse: Callable[[_Text], _Parsed], text: _Text) -> _Parsed:
         try:
-            return default if text is None else parse(text)
-        except MALFORMED as error:
-            raise LogError(
-                f"{self.path}: {key} of {component!r} cannot be parsed: {error}"
-            ) from error
+            return parse(text)
+        except (*MALFORMED, GraphError) as error:
+            raise LogError(f"{self.path}: {what} cannot be parsed: {error}") from error
 
 
 def _read_mask(text: str) -> Mask:
