@@ -319,7 +319,7 @@ def test_a_killed_run_is_recovered(tmp_path):
     """
     scenario = cosim.load("academic").set({"scenario.stop": 1000.0})
     with scenario.start(out=tmp_path / "a.mcap") as run:
-        while not (tmp_path / "a.mcap").exists():
+        while not open_log(tmp_path / "a.mcap").end_ns:
             run.step(20_000)
         shutil.copy(tmp_path / "a.mcap", tmp_path / "killed.mcap")
     killed = open_log(tmp_path / "killed.mcap")
