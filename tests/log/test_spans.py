@@ -268,6 +268,18 @@ def test_a_part_between_replays_what_is_before_its_end(run):
     assert verify(first, cosim.replay(run)).passed
 
 
+def test_a_limit_of_the_files_is_refused_before_the_run(tmp_path, monkeypatch):
+    """Where there is no file, or it is none."""
+    monkeypatch.chdir(tmp_path)
+    for options, text in [
+        ({"rotate": "1GB"}, "rotate"),
+        ({"rotate": 1e9, "out": "run.mcap"}, r"^rotate: expected a size in .*1000000000\.0"),
+    ]:
+        with pytest.raises(UsageError, match=text):
+            cosim.run("academic", **options)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_replay_does_not_replace_a_file_of_its_log(run):
     """It reads those before its own, and would remove those behind."""
     files = {path: path.read_bytes() for path in run.parent.iterdir()}
