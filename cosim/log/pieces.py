@@ -15,16 +15,15 @@ from mcap import records
 from mcap.opcode import Opcode
 
 from cosim.arrays import Mask, Nanoseconds
-from cosim.errors import GraphError, LogError
+from cosim.errors import LogError
 from cosim.instants import Grid
 from cosim.log.checksum import verify_checksum
 from cosim.log.chunks import MessageBatch, Workers, separate_chunks
 from cosim.log.container import Container, OtherRecord, scan
-from cosim.log.layout import Part, read_part, record_dtype
+from cosim.log.layout import Part, read_parts, record_dtype
 from cosim.log.live_file import LiveFile
 from cosim.log.mcap_records import FileHead, RecordGroup, attachment_group, record_header
 from cosim.log.metadata import json_table, library_name, recorded_start_ns
-from cosim.log.places import MALFORMED
 from cosim.log.preamble import (
     PARTIAL,
     PARTIAL_STATUS,
@@ -56,6 +55,8 @@ class LogPieces:
     ----------
     schemas : sequence of Schema
     channels : sequence of Channel
+    parts : mapping of channel id to Part
+        Those of components.
     metadata : mapping of name to items
         With their checksums.
     attachments : sequence of Attachment
@@ -63,6 +64,7 @@ class LogPieces:
 
     schemas: Sequence[records.Schema]
     channels: Sequence[records.Channel]
+    parts: Mapping[int, Part]
     metadata: Mapping[str, Mapping[str, str]]
     attachments: Sequence[records.Attachment]
 
@@ -80,31 +82,18 @@ class LogPieces:
         used = {channel.schema_id for channel in channels}
         metadata = {item.name: item.metadata for item in file.metadata()}
         attachments = [file.attachment(span) for span in file.attachments().values()]
-        pieces = LogPieces(
-            [schema for number, schema in sorted(schemas.items()) if number in used],
-            sorted(channels, key=lambda channel: int(channel.id)),
-            metadata,
-            attachments,
-        )
-        try:
-            has_components = bool(pieces.parts)
-        except (*MALFORMED, GraphError) as error:
-            raise LogError(f"{file.path}: its channels cannot be parsed: {error}") from error
-        if not has_components:
+        if not any("cosim.component" in channel.metadata for channel in channels):
             raise LogError(
                 f"{file.path}: no intact channel of a component, neither in the head of the file "
                 "nor in its summary, so the rows cannot be interpreted"
             )
-        return pieces
-
-    @cached_property
-    def parts(self) -> dict[int, Part]:
-        """The parts of components by channel id."""
-        parts = {}
-        for channel in self.channels:
-            if "cosim.component" in channel.metadata:
-                parts[channel.id] = read_part(channel.metadata)
-        return parts
+        return LogPieces(
+            [schema for number, schema in sorted(schemas.items()) if number in used],
+            sorted(channels, key=lambda channel: int(channel.id)),
+            read_parts(file.path, {channel.id: channel for channel in channels}),
+            metadata,
+            attachments,
+        )
 
     @cached_property
     def dtypes(self) -> dict[int, np.dtype[np.void]]:

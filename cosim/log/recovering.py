@@ -203,11 +203,13 @@ def _complete_components(pieces: LogPieces) -> LogPieces:
     sizes: Counter[str] = Counter()
     for part in pieces.parts.values():
         sizes[part.channel.name] += part.size
-    lost = set()
+    parts = {}
     for number, part in pieces.parts.items():
-        if sizes[part.channel.name] != part.channel.columns.stop - part.channel.start:
-            lost.add(number)
-    return replace(pieces, channels=[own for own in pieces.channels if own.id not in lost])
+        if sizes[part.channel.name] == part.channel.columns.stop - part.channel.start:
+            parts[number] = part
+    lost = pieces.parts.keys() - parts.keys()
+    channels = [own for own in pieces.channels if own.id not in lost]
+    return replace(pieces, channels=channels, parts=parts)
 
 
 def _has_all_messages(file: Container, pieces: LogPieces, counts: Mapping[int, int]) -> bool:
