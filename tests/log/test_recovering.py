@@ -7,12 +7,14 @@ import shutil
 
 import numpy as np
 import pytest
+from mcap import records
 from mcap.reader import make_reader
 
 import cosim
 from cosim.errors import LogError
 from cosim.instants import Grid
 from cosim.log import open_log, store
+from cosim.log.mcap_records import encoded
 from cosim.log.places import searched
 from cosim.log.recovering import Interval, missing_rows, recover
 from cosim.log.spans import cut
@@ -125,7 +127,7 @@ def chunk_counts(data, chunk):
 
 
 def test_what_is_intact_is_found_wherever_it_stands(tmp_path, written, subtests):
-    """A chunk twice or without a CRC, another tool's chunks, a head or an end that is missing.
+    """A chunk or a row twice, or without a CRC; what looks like statistics; no head, or no end.
 
     The summary repeats schemas and channels, but not metadata and attachments. The end of the run
     is known where its result is.
@@ -141,7 +143,12 @@ def test_what_is_intact_is_found_wherever_it_stands(tmp_path, written, subtests)
     other = put_together(content, tmp_path / "b.mcap", chunk_size=20_000).read_bytes()
     middle = len(other) // 2
     flipped = other[:middle] + bytes([other[middle] ^ 1]) + other[middle + 1 :]
+    content.messages = [message for message in content.messages for _ in range(2)]
+    doubled = put_together(content, tmp_path / "c.mcap").read_bytes()
+    found = records.Statistics(0, 3, {3: 2**40}, 1, 2**50, 0, 0, 0, 3)  # that do not add up
     cases = [
+        (doubled, {"interrupted"}, True),
+        (data[:start] + encoded(found) + data[start:], {"complete"}, True),
         (twice, {"complete"}, True),
         (bytes(first) + data[first:], {"complete"}, True),
         (data[:crc] + bytes(4) + data[crc + 4 :], {"partial"}, True),
