@@ -38,16 +38,16 @@ from cosim.log.files import OwnFile, open_file
 from cosim.log.layout import Records
 from cosim.log.mcap_records import HEADER, record_header
 from cosim.log.places import (
+    ATTACHMENT_TIMES,
     MALFORMED,
     MOST_ATTACHED,
+    Places,
     RecordSpan,
     check_attachment,
     damage_error,
-    indexed,
+    find_places,
     parsed,
     record_bounds,
-    searched,
-    walked,
 )
 
 _MESSAGE_KEY = 11  # bytes: opcode, length, channel id; equal in all messages of a channel
@@ -137,7 +137,6 @@ def _consecutive_messages(
 
 
 _ATTEMPTS: Final = 5  # to open a file that a run writes to
-_ATTACHMENT_TIMES: Final = 16  # bytes: log time, creation time
 _Declared = TypeVar("_Declared", records.Schema, records.Channel)
 
 
@@ -150,8 +149,8 @@ class Container:
     path : Path
     own : OwnFile, optional
         The file, where a run of this process has written it: the path may lead to another by now.
-    is_damaged : bool
-        Take what is intact of a file of cosim, wherever it stands, and refuse nothing.
+    find : callable
+        Finds out where the records are, of a damaged file those that are intact.
 
     Raises
     ------
@@ -159,27 +158,30 @@ class Container:
         If the file is not MCAP, truncated or damaged.
     """
 
-    def __init__(self, path: Path, own: OwnFile | None = None, *, is_damaged: bool = False) -> None:
+    def __init__(
+        self,
+        path: Path,
+        own: OwnFile | None = None,
+        *,
+        find: Callable[[Path, BinaryIO], Places] = find_places,
+    ) -> None:
         self.path = path
         self.own = own
         try:
-            self._find_places(is_damaged=is_damaged)
+            self._find_places(find)
         except OSError as error:
             reason = error.strerror or error
             raise LogError(f"{path} cannot be read: {reason}") from error
         chunk_indexes = self.summary.chunk_indexes
         self._chunk_indexes = {chunk.chunk_start_offset: chunk for chunk in chunk_indexes}
 
-    def _find_places(self, *, is_damaged: bool) -> None:
+    def _find_places(self, find: Callable[[Path, BinaryIO], Places]) -> None:
         """Find out where the pieces stand; again where a run has written to the file meanwhile."""
         with self._stream() as stream:
             for attempt in range(_ATTEMPTS):
                 self._identity = _identity(stream)
                 try:
-                    if is_damaged:
-                        self.places = searched(self.path)
-                    else:
-                        self.places = indexed(self.path, stream) or walked(self.path, stream)
+                    self.places = find(self.path, stream)
                 except (LogError, *MALFORMED) as error:
                     if attempt < _ATTEMPTS - 1 and _identity(stream) != self._identity:
                         continue
@@ -433,7 +435,7 @@ class Container:
             return {names[span.start]: span for span in self.places.others[Opcode.ATTACHMENT]}
         with self.open() as stream:
             for span in self.places.others[Opcode.ATTACHMENT]:
-                stream.seek(span.start + HEADER + _ATTACHMENT_TIMES)
+                stream.seek(span.start + HEADER + ATTACHMENT_TIMES)
                 length = int.from_bytes(stream.read(4), "little")
                 name = stream.read(min(length, span.size))  # no more, if the length is damaged
                 spans[name.decode(errors="replace")] = span
@@ -484,13 +486,9 @@ def _check_index(header: ChunkHeader, index: records.ChunkIndex | None) -> None:
     """
     if index is None:
         return
-    differs = (
-        index.message_start_time != header.first_ns
-        or index.message_end_time != header.last_ns
-        or index.uncompressed_size != header.size
-        or index.compression != header.compression
-    )
-    if differs:
+    times = (index.message_start_time, index.message_end_time)
+    expected = (*times, index.uncompressed_size, index.compression)
+    if expected != (header.first_ns, header.last_ns, header.size, header.compression):
         raise ValueError("a chunk differs from its index")
 
 

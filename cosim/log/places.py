@@ -1,17 +1,14 @@
-"""Where the records of an MCAP file stand: by its summary, by a walk, or by a search.
+"""Where the records of an MCAP file stand: by its summary, or by a walk.
 
 A log of cosim is opened by its summary alone, however long it is. That of a closed file has a CRC
 in the footer; that of one that is still written, or whose writer was killed, a seal after it.
 Where there is neither, and in files of other tools, which may leave records out of their indexes,
-the file is walked from record to record by their lengths. In a damaged file the intact records are
-searched by their content, wherever they are.
+the file is walked from record to record by their lengths.
 """
 
 from __future__ import annotations
 
-import mmap
 import os
-import re
 import struct
 from collections import defaultdict
 from collections.abc import Iterator
@@ -28,9 +25,6 @@ from mcap.opcode import Opcode
 from mcap.summary import Summary
 
 from cosim.errors import LogError
-from cosim.log.checksum import PREFIX, verify_checksum
-from cosim.log.chunks import CHUNK_HEAD, MOST_BYTES, decompressed, read_chunk_header
-from cosim.log.files import open_file
 from cosim.log.live_file import SEAL
 from cosim.log.mcap_records import (
     END_SIZE,
@@ -51,7 +45,7 @@ _MOST_SUMMARY: Final = 2**30  # bytes
 _MOST_NAME: Final = 2**10
 _SPAN_BYTES: Final = 2**22  # of messages outside chunks that are read as one piece
 _READ_BYTES: Final = 2**22
-_ATTACHMENT_TIMES: Final = 16  # bytes: log time, creation time
+ATTACHMENT_TIMES: Final = 16  # bytes: log time, creation time
 
 
 class RecordSpan(NamedTuple):
@@ -289,6 +283,17 @@ def _chunk_index(content: bytes) -> records.ChunkIndex:
     )
 
 
+def find_places(path: Path, stream: BinaryIO) -> Places:
+    """Return where a file has its records.
+
+    Raises
+    ------
+    LogError
+        If it is not MCAP, truncated or damaged; or another of what is malformed.
+    """
+    return indexed(path, stream) or walked(path, stream)
+
+
 # --- by the summary ---
 
 
@@ -451,135 +456,6 @@ def _incomplete(
         f"{path} is truncated at byte {size}: its end is missing, as after an interrupted "
         f"copy; {rescue}"
     )
-
-
-# --- by a search ---
-
-# Opcodes of what is looked for, and lengths below 2**40: other records have these bytes by chance
-# now and then, and are refused by their content.
-_CANDIDATE: Final = re.compile(rb"[\x03\x04\x06\x09\x0b\x0c].{5}\x00\x00\x00", re.DOTALL)
-_MOST_FACTS: Final = 2**24  # bytes of a schema, a channel or metadata
-_LARGEST: Final = {Opcode.CHUNK: MOST_BYTES, Opcode.ATTACHMENT: MOST_ATTACHED}
-_OF_CHANNELS: Final = "cosim.channel"  # what their metadata have a checksum as
-
-
-def searched(path: Path) -> Places:
-    """Return where the intact records of a damaged log stand.
-
-    A record is intact if its content proves it: a chunk by the CRC of its decompressed records, an
-    attachment by its CRC, metadata and channels of cosim by their checksums, a schema if it can be
-    read to its last byte. What lies between is searched byte by byte, so that a wrong length or a
-    lost page costs no more than the records that it is in. The holes, slots and pads of an
-    unfinished file are searched, too: chunks there that were replaced by later ones have rows of
-    the run. Of all statistics those of most messages are the summary.
-
-    Raises
-    ------
-    LogError
-        If the file cannot be read, or is empty.
-    """
-    places = Places()
-    with open_file(path) as stream:
-        try:
-            content = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
-        except ValueError as error:
-            raise LogError(f"{path} is empty; expected an MCAP file") from error
-        with content:
-            position = 0
-            while True:
-                match = _CANDIDATE.search(content, position)
-                if match is None:
-                    return places
-                position = match.start()
-                del match  # it holds the mapping
-                position = _intact_end(places, content, position) or position + 1
-
-
-def _intact_end(places: Places, content: mmap.mmap, start: int) -> int:
-    """Add the record that begins at ``start``; return its end, 0: there is no intact one."""
-    opcode, length = RECORD_HEADER.unpack_from(content, start)
-    stop: int = start + HEADER + length
-    if stop > len(content) or length > _LARGEST.get(opcode, _MOST_FACTS):
-        return 0
-    try:
-        # cheap, before anything is copied
-        if opcode == Opcode.CHUNK:
-            header = read_chunk_header(content[start : start + CHUNK_HEAD], stop - start)
-            if header.first_ns > header.last_ns or header.data_stop != stop - start:
-                return 0
-        if opcode == Opcode.ATTACHMENT and not _is_attachment(content, start + HEADER, stop):
-            return 0
-        _check_intact(opcode, content[start:stop])
-    except (*MALFORMED, EOFError, AssertionError):
-        return 0
-    if opcode == Opcode.STATISTICS:
-        found = parsed(records.Statistics, content[start + HEADER : stop])
-        known = places.summary.statistics
-        if known is None or found.message_count > known.message_count:
-            places.summary.statistics = found
-    else:
-        places.add(opcode, start, stop)
-    return stop
-
-
-def _is_attachment(content: mmap.mmap, start: int, stop: int) -> bool:
-    """Return whether the sizes in what may be an attachment fit together."""
-    position = start + _ATTACHMENT_TIMES
-    for _ in range(2):  # its name and its type
-        if position + 4 > stop:
-            return False
-        position += 4 + int.from_bytes(content[position : position + 4], "little")
-    if position + 8 > stop:
-        return False
-    size = int.from_bytes(content[position : position + 8], "little")
-    return bool(position + 8 + size + 4 == stop)
-
-
-def _check_intact(opcode: int, record: bytes) -> None:
-    """Check that a record is intact, as its content proves.
-
-    Raises
-    ------
-    ValueError
-        If it is not; or another of what is malformed.
-    """
-    match opcode:
-        case Opcode.CHUNK:
-            if not read_chunk_header(record, len(record)).crc:
-                raise ValueError("a chunk without a CRC")
-            decompressed(record)
-            is_ours = True
-        case Opcode.ATTACHMENT:
-            check_attachment(record, needs_crc=True)
-            parsed(records.Attachment, record[HEADER:])
-            is_ours = True
-        case Opcode.METADATA:
-            item = _whole(records.Metadata, record)
-            verify_checksum(item.name, item.metadata)
-            is_ours = bool(item.name)
-        case Opcode.SCHEMA:  # some bytes look like a record of nothing
-            schema = _whole(records.Schema, record)
-            is_ours = schema.encoding == "protobuf" and schema.name and schema.data
-        case Opcode.CHANNEL:
-            channel = _whole(records.Channel, record)
-            is_ours = channel.message_encoding == "protobuf" and channel.topic.startswith("/")
-            if any(key.startswith(PREFIX) for key in channel.metadata):
-                verify_checksum(_OF_CHANNELS, channel.metadata)
-        case _:  # nothing vouches for statistics but that they add up
-            found = _whole(records.Statistics, record)
-            counts = found.channel_message_counts.values()
-            is_ours = found.message_count and sum(counts) == found.message_count
-    if not is_ours:
-        raise ValueError("a record of another kind")
-
-
-def _whole(kind: Any, record: bytes) -> Any:
-    """Read a record to its last byte."""
-    content = BytesIO(record[HEADER:])
-    value = kind.read(ReadDataStream(content))
-    if content.tell() != len(record) - HEADER:
-        raise ValueError("a record of another length")
-    return value
 
 
 def check_attachment(record: bytes, *, needs_crc: bool = False) -> None:

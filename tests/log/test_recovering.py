@@ -14,9 +14,9 @@ import cosim
 from cosim.errors import LogError
 from cosim.instants import Grid
 from cosim.log import open_log, store
+from cosim.log.container import Container
 from cosim.log.mcap_records import encoded
-from cosim.log.places import searched
-from cosim.log.recovering import Interval, missing_rows, recover
+from cosim.log.recovering import Interval, missing_rows, recover, searched
 from cosim.log.spans import cut
 from tests.log.crafting import put_together, take_apart
 from tests.log.recordings import STEP_NS, layout, make_chunks_small, record, same_bits, table
@@ -108,7 +108,7 @@ def test_one_flipped_bit_costs_one_chunk(tmp_path, written):
     broken = bytearray(data)
     broken[chunk.chunk_start_offset + chunk.chunk_length - 50] ^= 4
     (tmp_path / "broken.mcap").write_bytes(broken)
-    assert len(searched(tmp_path / "broken.mcap").chunks) == len(chunks) - 1
+    assert len(Container(tmp_path / "broken.mcap", find=searched).places.chunks) == len(chunks) - 1
     recovery = recovered(tmp_path, broken)
     check_rows(recovery, rows)
     assert recovery.log.status == "partial"
@@ -186,7 +186,7 @@ def test_random_damage_loses_no_intact_chunk(tmp_path, written, seeds, subtests)
     for seed in seeds:
         broken = damaged(data, chunks[0].chunk_start_offset, random.Random(seed))
         (tmp_path / "broken.mcap").write_bytes(broken)
-        places = searched(tmp_path / "broken.mcap")
+        places = Container(tmp_path / "broken.mcap", find=searched).places
         found = {bytes(broken[span.start : span.stop]) for span in places.chunks}
         with subtests.test(case=seed):
             for chunk in chunks:
