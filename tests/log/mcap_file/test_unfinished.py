@@ -17,7 +17,7 @@ import pytest
 
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import GraphError, Interrupted, LogError, LogWriteError, NonFiniteError
-from cosim.log import McapRecorder, container, open_log, recorder, unfinished
+from cosim.log import McapRecorder, open_log, places, recorder, unfinished
 from tests.log.disks import FullDisk
 from tests.log.recordings import (
     STEP_NS,
@@ -328,12 +328,12 @@ def test_a_summary_that_is_replaced_while_it_is_read_is_read_again(tmp_path, mon
         os.utime(path, ns=(0, 0))  # as a flush changes it
         return None
 
-    find_indexed = container.indexed
+    find_indexed = places.indexed
     with McapRecorder(path, flush=1e-3) as recorder:
         recorder.begin(plan())
         recorder.write(*run[0])
         wait_for_step(path, 10)
-        monkeypatch.setattr(container, "indexed", replaced)
+        monkeypatch.setattr(places, "indexed", replaced)
         log = open_log(path)
         assert (len(looks), log.status, log.steps) == (2, "unfinished", 10)
 
