@@ -446,57 +446,27 @@ class Log(RecordedRun):
         return bytes(self._file.attachment(self._attachments[name]).data)
 
     def messages(self) -> list[RunMessage]:
-        """Return the messages of the run and its components, in the order of time.
-
-        Raises
-        ------
-        LogError
-            If the file is damaged.
-        """
+        """Return the messages of the run and its components, in the order of time."""
         return sorted(self.each_message(), key=lambda message: message.time_ns)
 
     def each_message(self) -> Iterator[RunMessage]:
-        """Yield the messages in the order of the file.
-
-        Raises
-        ------
-        LogError
-            If the file is damaged.
-        """
+        """Yield the messages in the order of the file."""
         return self._messages_of(
             LOG_TOPIC, lambda time_ns, data: RunMessage(time_ns, *decode_log(data))
         )
 
     def events(self) -> list[SignalEvent]:
-        """Return the jumps of signals, in the order of time.
-
-        Raises
-        ------
-        LogError
-            If the file is damaged.
-        """
+        """Return the jumps of signals, in the order of time."""
         events = self._messages_of(EVENT_TOPIC, decode_event)
         return sorted(events, key=lambda event: event.time_ns)
 
     def substeps(self) -> list[Substep]:
-        """Return the substeps of loops, in the order of where they begin.
-
-        Raises
-        ------
-        LogError
-            If the file is damaged.
-        """
+        """Return the substeps of loops, in the order of where they begin."""
         substeps = self._messages_of(STEP_TOPIC, lambda _, data: decode_substep(data))
         return sorted(substeps, key=attrgetter("begin"))
 
     def message_counts(self) -> dict[str, int]:
-        """Return how many messages there are beside the rows, by topic, where there are any.
-
-        Raises
-        ------
-        LogError
-            If the file is damaged.
-        """
+        """Return how many messages there are beside the rows, by topic, where there are any."""
         counts = {}
         statistics = self._file.summary.statistics
         for topic in _TOPICS:
@@ -518,11 +488,6 @@ class Log(RecordedRun):
         ----------
         first_ns, last_ns : int or None
             Those in ``first_ns <= time <= last_ns`` [ns]; None: without that bound.
-
-        Raises
-        ------
-        LogError
-            If the file is damaged.
         """
         messages = []
         for topic in _TOPICS:
