@@ -8,16 +8,14 @@ channels' messages mixed, are read by the same code, a few messages at a time.
 from __future__ import annotations
 
 import os
-import struct
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import closing
-from dataclasses import dataclass
 from functools import cached_property, partial
 from io import BufferedReader
 from itertools import cycle
 from pathlib import Path
-from typing import BinaryIO, Final, TypeVar, final
+from typing import BinaryIO, Final, NamedTuple, TypeVar, final
 
 import numpy as np
 from mcap import records
@@ -40,26 +38,25 @@ from cosim.log.files import OwnFile, open_file
 from cosim.log.layout import Records
 from cosim.log.mcap_records import HEADER, record_header
 from cosim.log.places import (
+    ATTACHMENT_TIMES,
     MALFORMED,
     MOST_ATTACHED,
+    Places,
     RecordSpan,
     check_attachment,
     damage_error,
-    indexed,
+    find_places,
     parsed,
-    searched,
-    walked,
+    record_bounds,
 )
 
-_RECORD_HEADER = struct.Struct("<BQ")
 _MESSAGE_KEY = 11  # bytes: opcode, length, channel id; equal in all messages of a channel
 _MESSAGE_HEADER = 22  # bytes of a message's content before its data
 _FIRST_WINDOW = 64  # records compared at once to begin with
 _WINDOW_GROWTH = 8
 
 
-@dataclass(frozen=True, slots=True)
-class OtherRecord:
+class OtherRecord(NamedTuple):
     """A record that is not a message of a known channel."""
 
     opcode: int
@@ -87,11 +84,13 @@ def scan(
     """
     position = 0
     while position < len(data):
-        opcode, stop = _record_bounds(data, position)
+        opcode, stop = record_bounds(data, position)
         content = position + HEADER
         channel_id = 0
         dtype = None
         if opcode == Opcode.MESSAGE:
+            if stop - content < _MESSAGE_HEADER:
+                raise ValueError(f"a message of {stop - content} bytes is no message")
             channel_id = int.from_bytes(data[content : content + 2], "little")
             dtype = dtypes.get(channel_id)
         if dtype is None:
@@ -106,24 +105,6 @@ def scan(
             yield channel_id, records
             stop = position + records.nbytes
         position = stop
-
-
-def _record_bounds(data: bytes | memoryview, position: int) -> tuple[int, int]:
-    """Return opcode and end of the record at ``position``.
-
-    Raises
-    ------
-    ValueError
-        If no whole record is there, or a message too short for its header.
-    """
-    if position + HEADER > len(data):
-        raise ValueError(f"{len(data) - position} surplus bytes in a chunk")
-    opcode, length = _RECORD_HEADER.unpack_from(data, position)
-    stop = position + HEADER + length
-    is_cut = stop > len(data)
-    if is_cut or (opcode == Opcode.MESSAGE and length < _MESSAGE_HEADER):
-        raise ValueError(f"a record of {length} bytes does not fit into its chunk")
-    return opcode, stop
 
 
 def _consecutive_messages(
@@ -156,17 +137,7 @@ def _consecutive_messages(
 
 
 _ATTEMPTS: Final = 5  # to open a file that a run writes to
-_ATTACHMENT_TIMES: Final = 16  # bytes: log time, creation time
 _Declared = TypeVar("_Declared", records.Schema, records.Channel)
-
-
-@final
-class _Memory:
-    """What one chunk at a time is read and decompressed to."""
-
-    def __init__(self) -> None:
-        self.data = Scratch()
-        self.records = Scratch()
 
 
 @final
@@ -178,8 +149,8 @@ class Container:
     path : Path
     own : OwnFile, optional
         The file, where a run of this process has written it: the path may lead to another by now.
-    is_damaged : bool
-        Take what is intact of a file of cosim, wherever it stands, and refuse nothing.
+    find : callable
+        Finds out where the records are, of a damaged file those that are intact.
 
     Raises
     ------
@@ -187,39 +158,40 @@ class Container:
         If the file is not MCAP, truncated or damaged.
     """
 
-    def __init__(self, path: Path, own: OwnFile | None = None, *, is_damaged: bool = False) -> None:
+    def __init__(
+        self,
+        path: Path,
+        own: OwnFile | None = None,
+        *,
+        find: Callable[[Path, BinaryIO], Places] = find_places,
+    ) -> None:
         self.path = path
         self.own = own
         try:
-            self._find_places(is_damaged=is_damaged)
+            self._find_places(find)
         except OSError as error:
             reason = error.strerror or error
             raise LogError(f"{path} cannot be read: {reason}") from error
         chunk_indexes = self.summary.chunk_indexes
         self._chunk_indexes = {chunk.chunk_start_offset: chunk for chunk in chunk_indexes}
 
-    def _find_places(self, *, is_damaged: bool) -> None:
+    def _find_places(self, find: Callable[[Path, BinaryIO], Places]) -> None:
         """Find out where the pieces stand; again where a run has written to the file meanwhile."""
         with self._stream() as stream:
             for attempt in range(_ATTEMPTS):
                 self._identity = _identity(stream)
                 try:
-                    if is_damaged:
-                        self.places = searched(self.path)
-                    else:
-                        self.places = indexed(self.path, stream) or walked(self.path, stream)
-                except LogError:
-                    if attempt == _ATTEMPTS - 1 or _identity(stream) == self._identity:
+                    self.places = find(self.path, stream)
+                except (LogError, *MALFORMED) as error:
+                    if attempt < _ATTEMPTS - 1 and _identity(stream) != self._identity:
+                        continue
+                    if isinstance(error, LogError):
                         raise
-                except MALFORMED as error:
-                    if attempt == _ATTEMPTS - 1 or _identity(stream) == self._identity:
-                        raise LogError(
-                            f"{self.path} is damaged: the summary cannot be read: {error}"
-                        ) from error
-                else:
-                    # A summary that is replaced while it is read looks as if there was none.
-                    if self.places.is_indexed or _identity(stream) == self._identity:
-                        return
+                    reason = f"the summary cannot be read: {error}"
+                    raise LogError(f"{self.path} is damaged: {reason}") from error
+                # A summary that is replaced while it is read looks as if there was none.
+                if self.places.is_indexed or _identity(stream) == self._identity:
+                    return
 
     @property
     def summary(self) -> Summary:
@@ -291,7 +263,9 @@ class Container:
         for span in self.places.data:
             if self._may_have(span, channel_ids, first_ns, last_ns):
                 wanted.append(span)
-        memories = cycle([_Memory() for _ in range(AHEAD if self._is_compressed else 1)])
+        memories = cycle(
+            [(Scratch(), Scratch()) for _ in range(AHEAD if self._is_compressed else 1)]
+        )
         with self.open() as stream, closing(Workers(THREADS_AHEAD)) as workers:
             pieces = (self._piece(stream, span, next(memories)) for span in wanted)
             if self._is_compressed:
@@ -327,7 +301,7 @@ class Container:
         return not in_chunk.keys().isdisjoint(channel_ids)
 
     def _piece(
-        self, stream: BufferedReader, span: RecordSpan, memory: _Memory
+        self, stream: BufferedReader, span: RecordSpan, memory: tuple[Scratch, Scratch]
     ) -> Callable[[], memoryview]:
         """Read a chunk, or messages outside; return what decompresses and checks them."""
         if span.opcode != Opcode.CHUNK:
@@ -342,11 +316,11 @@ class Container:
             # Before decompressing: no CRC covers the header, and a wrong size may be a huge one.
             _check_index(header, self._chunk_indexes.get(span.start))
             stream.seek(span.start + header.data_start)
-            data = memory.data.of_size(header.data_stop - header.data_start)
+            data = memory[0].of_size(header.data_stop - header.data_start)
             data = data[: stream.readinto(data)]
         except MALFORMED as error:
             raise self.damage_error(span.start, str(error)) from error
-        return partial(self._decompressed, span, header, data, memory.records)
+        return partial(self._decompressed, span, header, data, memory[1])
 
     def _decompressed(
         self, span: RecordSpan, header: ChunkHeader, data: memoryview, scratch: Scratch
@@ -402,7 +376,7 @@ class Container:
     def schemas(self) -> Mapping[int, records.Schema]:
         """Return the schemas by id; see :meth:`channels`."""
         found: Mapping[int, records.Schema] = self.summary.schemas
-        return found or self._declared(records.Schema, Opcode.SCHEMA, self.places.schemas)
+        return found or self._declared(records.Schema, Opcode.SCHEMA)
 
     def channels(self) -> Mapping[int, records.Channel]:
         """Return the channels by id.
@@ -415,13 +389,11 @@ class Container:
             If a channel is damaged.
         """
         found: Mapping[int, records.Channel] = self.summary.channels
-        return found or self._declared(records.Channel, Opcode.CHANNEL, self.places.channels)
+        return found or self._declared(records.Channel, Opcode.CHANNEL)
 
-    def _declared(
-        self, kind: type[_Declared], opcode: Opcode, spans: Collection[RecordSpan]
-    ) -> dict[int, _Declared]:
+    def _declared(self, kind: type[_Declared], opcode: Opcode) -> dict[int, _Declared]:
         """Return what is declared, by id, outside of chunks, or else inside."""
-        contents = []
+        spans = self.places.others[opcode]
         declared: dict[int, _Declared] = {}
         try:
             with self.open() as stream:
@@ -448,7 +420,7 @@ class Container:
             If one is damaged.
         """
         with self.open() as stream:
-            for span in self.places.metadata:
+            for span in self.places.others[Opcode.METADATA]:
                 try:
                     yield parsed(records.Metadata, self._checked(stream, span, MOST_BYTES)[HEADER:])
                 except MALFORMED as error:
@@ -460,10 +432,10 @@ class Container:
         spans = {}
         if self.places.is_indexed:
             names = {index.offset: index.name for index in self.summary.attachment_indexes}
-            return {names[span.start]: span for span in self.places.attachments}
+            return {names[span.start]: span for span in self.places.others[Opcode.ATTACHMENT]}
         with self.open() as stream:
-            for span in self.places.attachments:
-                stream.seek(span.start + HEADER + _ATTACHMENT_TIMES)
+            for span in self.places.others[Opcode.ATTACHMENT]:
+                stream.seek(span.start + HEADER + ATTACHMENT_TIMES)
                 length = int.from_bytes(stream.read(4), "little")
                 name = stream.read(min(length, span.size))  # no more, if the length is damaged
                 spans[name.decode(errors="replace")] = span
@@ -514,13 +486,9 @@ def _check_index(header: ChunkHeader, index: records.ChunkIndex | None) -> None:
     """
     if index is None:
         return
-    differs = (
-        index.message_start_time != header.first_ns
-        or index.message_end_time != header.last_ns
-        or index.uncompressed_size != header.size
-        or index.compression != header.compression
-    )
-    if differs:
+    times = (index.message_start_time, index.message_end_time)
+    expected = (*times, index.uncompressed_size, index.compression)
+    if expected != (header.first_ns, header.last_ns, header.size, header.compression):
         raise ValueError("a chunk differs from its index")
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Final, final
 
@@ -65,7 +66,7 @@ class FollowedLog:
         self._own = OwnFile(log.path)
         choice = LogChoice.of(log, None if names is None else split_names(",".join(names)))
         self._columns = choice.columns
-        self._wait = wait or _pause
+        self._wait = wait or partial(time.sleep, POLL_INTERVAL)
 
     @property
     def columns(self) -> tuple[SelectedColumn, ...]:
@@ -107,7 +108,8 @@ class FollowedLog:
         It is begun before the end of the one before, and gets its name after it, unless the run is
         killed there.
         """
-        if not _has_next(log) or self._is_past(log):
+        is_part = log.status == PARTIAL_STATUS and log.reason.startswith(PART_REASON)
+        if not is_part or PARTIAL in log.metadata or self._is_past(log):
             return False
         paths = part_paths(self._path)
         following = part_path(paths[0], len(paths) + 1)
@@ -132,16 +134,3 @@ class FollowedLog:
     def _is_past(self, log: Log) -> bool:
         """Return whether the log has all rows that are wanted."""
         return self._last_ns is not None and log.end_ns >= self._last_ns
-
-
-def _has_next(log: Log) -> bool:
-    """Return whether a log is a file of one that was rotated, and not the last."""
-    return (
-        log.status == PARTIAL_STATUS
-        and log.reason.startswith(PART_REASON)
-        and PARTIAL not in log.metadata
-    )
-
-
-def _pause() -> None:
-    time.sleep(POLL_INTERVAL)

@@ -4,27 +4,26 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import compress
-from typing import Any, Final, TypeAlias, final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from mcap import records
 from mcap.opcode import Opcode
 
 from cosim.arrays import Mask, Nanoseconds
-from cosim.errors import GraphError, LogError
+from cosim.errors import LogError
 from cosim.instants import Grid
 from cosim.log.chunks import MessageBatch, Workers, separate_chunks
 from cosim.log.container import Container, OtherRecord, scan
 from cosim.log.files import UnfinishedLog
-from cosim.log.layout import Part, read_part, record_dtype
+from cosim.log.layout import Part, read_parts, record_dtype
 from cosim.log.live_file import LiveFile
 from cosim.log.mcap_records import FileHead, RecordGroup, attachment_group, record_header
 from cosim.log.metadata import json_table, library_name, recorded_start_ns, verify_checksum
-from cosim.log.places import MALFORMED
 from cosim.log.preamble import (
     PARTIAL,
     PARTIAL_STATUS,
@@ -41,6 +40,7 @@ from cosim.log.rows import record_times
 OF_THE_END: Final = (RESULT, PARTIAL)  # metadata that a part has of its own
 # Returns which messages of a channel are wanted, by their times and records.
 MessageFilter: TypeAlias = Callable[[int, Nanoseconds, list[bytes] | None], Mask]
+_Chosen: TypeAlias = tuple[bytes, Nanoseconds, Nanoseconds]  # records, their times, their sizes
 
 _LOG_TIME: Final = slice(6, 14)  # of a message record's content
 _GATHERED_BYTES: Final = 2**22
@@ -54,6 +54,8 @@ class LogPieces:
     ----------
     schemas : sequence of Schema
     channels : sequence of Channel
+    parts : mapping of channel id to Part
+        Those of components.
     metadata : mapping of name to items
         With their checksums.
     attachments : sequence of Attachment
@@ -61,6 +63,7 @@ class LogPieces:
 
     schemas: Sequence[records.Schema]
     channels: Sequence[records.Channel]
+    parts: Mapping[int, Part]
     metadata: Mapping[str, Mapping[str, str]]
     attachments: Sequence[records.Attachment]
 
@@ -78,31 +81,18 @@ class LogPieces:
         used = {channel.schema_id for channel in channels}
         metadata = {item.name: item.metadata for item in file.metadata()}
         attachments = [file.attachment(span) for span in file.attachments().values()]
-        pieces = LogPieces(
-            [schema for number, schema in sorted(schemas.items()) if number in used],
-            sorted(channels, key=lambda channel: int(channel.id)),
-            metadata,
-            attachments,
-        )
-        try:
-            has_components = bool(pieces.parts)
-        except (*MALFORMED, GraphError) as error:
-            raise LogError(f"{file.path}: its channels cannot be parsed: {error}") from error
-        if not has_components:
+        if not any("cosim.component" in channel.metadata for channel in channels):
             raise LogError(
                 f"{file.path}: no intact channel of a component, neither in the head of the file "
                 "nor in its summary, so the rows cannot be interpreted"
             )
-        return pieces
-
-    @cached_property
-    def parts(self) -> dict[int, Part]:
-        """The parts of components by channel id."""
-        parts = {}
-        for channel in self.channels:
-            if "cosim.component" in channel.metadata:
-                parts[channel.id] = read_part(channel.metadata)
-        return parts
+        return LogPieces(
+            [schema for number, schema in sorted(schemas.items()) if number in used],
+            sorted(channels, key=lambda channel: int(channel.id)),
+            read_parts(file.path, {channel.id: channel for channel in channels}),
+            metadata,
+            attachments,
+        )
 
     @cached_property
     def dtypes(self) -> dict[int, np.dtype[np.void]]:
@@ -208,12 +198,15 @@ def _end_groups(pieces: LogPieces, end: ResultItems, content_hash: str) -> list[
     """Return the records that tell of the end: those of the run, where all its rows are here."""
     of_run = pieces.run_result
     is_part = PARTIAL in pieces.metadata
-    values = _values(pieces.result_file)
+    text = pieces.result_file
+    values: dict[str, Any] = {}
+    with suppress(ValueError):  # what cannot be read loses no row
+        values = {} if text is None else json_table(text)
     if of_run.get("content_hash") == content_hash:
-        text = pieces.result_file
         if text is None or is_part:
             whole = values.get(WHOLE)
-            numbers = {key: int(text) for key, text in of_run.items() if _is_count(key, text)}
+            counts = {key: of_run.get(key, "") for key in ("steps", "end_ns")}
+            numbers = {key: int(count) for key, count in counts.items() if count.isdecimal()}
             text = _json({**(whole if isinstance(whole, dict) else values), **of_run, **numbers})
         return [
             result_record(RESULT, of_run),
@@ -227,18 +220,6 @@ def _end_groups(pieces: LogPieces, end: ResultItems, content_hash: str) -> list[
         values = {WHOLE: values} if of_run and values else {}
     groups.append(attachment_group(RESULT_FILE, "application/json", _json({**values, **items})))
     return groups
-
-
-def _is_count(key: str, text: str) -> bool:
-    return key in ("steps", "end_ns") and text.isdecimal()
-
-
-def _values(result_file: bytes | None) -> dict[str, Any]:
-    """Return the content of a result file; where it cannot be read nothing, which loses no row."""
-    try:
-        return {} if result_file is None else json_table(result_file)
-    except ValueError:
-        return {}
 
 
 def _json(items: Mapping[str, Any]) -> bytes:
@@ -270,63 +251,55 @@ def gathered(
     ValueError
         If a block is not a sequence of records.
     """
-    waiting = _Waiting()
+    waiting: dict[int, list[_Chosen]] = {}
+    size = 0
     for block in blocks:
-        others: dict[int, list[bytes]] = {}
-        for item in scan(block, dtypes):
-            if isinstance(item, OtherRecord):
-                if item.opcode == Opcode.MESSAGE:
-                    others.setdefault(item.channel_id, []).append(item.content)
-                continue
+        for number, chosen in _chosen(block, dtypes, wanted):
+            waiting.setdefault(number, []).append(chosen)
+            size += len(chosen[0])
+        if size >= _GATHERED_BYTES:
+            yield _joined(waiting)
+            waiting = {}
+            size = 0
+    if waiting:
+        yield _joined(waiting)
+
+
+def _chosen(
+    block: bytes | memoryview, dtypes: Mapping[int, np.dtype[np.void]], wanted: MessageFilter
+) -> Iterator[tuple[int, _Chosen]]:
+    """Yield the wanted rows of a chunk, then its other messages, by channel id."""
+    others: dict[int, list[bytes]] = {}
+    for item in scan(block, dtypes):
+        if not isinstance(item, OtherRecord):
             number, rows = item
             time_ns = record_times(rows)
             kept = wanted(number, time_ns, None)
-            if not kept.all():
-                rows = rows[kept]
-                time_ns = time_ns[kept]
-            if len(rows):
-                sizes = np.full(len(rows), rows.itemsize, np.int64)
-                waiting.add(number, rows.tobytes(), time_ns, sizes)
-        for number, contents in others.items():
-            times = [int.from_bytes(content[_LOG_TIME], "little") for content in contents]
-            kept = wanted(number, np.array(times, np.int64), contents)
-            waiting.add_others(number, list(compress(contents, kept)), list(compress(times, kept)))
-        if waiting.size >= _GATHERED_BYTES:
-            yield waiting.take()
-    if waiting.size:
-        yield waiting.take()
-
-
-@final
-class _Waiting:
-    """Message records by channel."""
-
-    def __init__(self) -> None:
-        self.size = 0  # bytes
-        self._parts: dict[int, list[tuple[bytes, Nanoseconds, Nanoseconds]]] = {}
-
-    def add(self, number: int, data: bytes, time_ns: Nanoseconds, sizes: Nanoseconds) -> None:
-        """Add records of a channel, with their times [ns] and sizes [bytes]."""
-        self._parts.setdefault(number, []).append((data, time_ns, sizes))
-        self.size += len(data)
-
-    def add_others(self, number: int, contents: list[bytes], times: list[int]) -> None:
-        """Add messages that are not rows."""
-        messages = [record_header(Opcode.MESSAGE, len(own)) + own for own in contents]
+            if kept.any():
+                chosen = rows if kept.all() else rows[kept]
+                sizes = np.full(len(chosen), rows.itemsize, np.int64)
+                yield number, (chosen.tobytes(), time_ns[kept], sizes)
+        elif item.opcode == Opcode.MESSAGE:
+            others.setdefault(item.channel_id, []).append(item.content)
+    for number, contents in others.items():
+        times = [int.from_bytes(content[_LOG_TIME], "little") for content in contents]
+        time_ns = np.array(times, np.int64)
+        kept = wanted(number, time_ns, contents)
+        messages = []
+        for content in compress(contents, kept):
+            messages.append(record_header(Opcode.MESSAGE, len(content)) + content)
         if messages:
-            sizes = np.array([len(message) for message in messages], np.int64)
-            self.add(number, b"".join(messages), np.array(times, np.int64), sizes)
+            sizes = np.array(list(map(len, messages)), np.int64)
+            yield number, (b"".join(messages), time_ns[kept], sizes)
 
-    def take(self) -> list[MessageBatch]:
-        """Return all that is here."""
-        batches = []
-        for number, parts in self._parts.items():
-            data = b"".join(part for part, _, _ in parts)
-            time_ns = np.concatenate([times for _, times, _ in parts])
-            sizes = np.concatenate([own for _, _, own in parts])
-            batches.append(
-                MessageBatch(number, memoryview(data), time_ns, np.cumsum(sizes) - sizes)
-            )
-        self._parts = {}
-        self.size = 0
-        return batches
+
+def _joined(waiting: Mapping[int, Sequence[_Chosen]]) -> list[MessageBatch]:
+    batches = []
+    for number, own in waiting.items():
+        data, times, sizes = zip(*own, strict=True)
+        lengths = np.concatenate(sizes)
+        offsets = np.cumsum(lengths) - lengths
+        batches.append(
+            MessageBatch(number, memoryview(b"".join(data)), np.concatenate(times), offsets)
+        )
+    return batches

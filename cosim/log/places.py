@@ -1,19 +1,17 @@
-"""Where the records of an MCAP file stand: by its summary, by a walk, or by a search.
+"""Where the records of an MCAP file stand: by its summary, or by a walk.
 
 A log of cosim is opened by its summary alone, however long it is. That of a closed file has a CRC
 in the footer; that of one that is still written, or whose writer was killed, a seal after it.
 Where there is neither, and in files of other tools, which may leave records out of their indexes,
-the file is walked from record to record by their lengths. In a damaged file the intact records are
-searched by their content, wherever they are.
+the file is walked from record to record by their lengths.
 """
 
 from __future__ import annotations
 
-import mmap
 import os
-import re
 import struct
-from collections.abc import Callable, Iterator
+from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -27,8 +25,6 @@ from mcap.opcode import Opcode
 from mcap.summary import Summary
 
 from cosim.errors import LogError
-from cosim.log.chunks import CHUNK_HEAD, MOST_BYTES, decompressed, read_chunk_header
-from cosim.log.files import open_file
 from cosim.log.live_file import SEAL
 from cosim.log.mcap_records import (
     END_SIZE,
@@ -39,7 +35,6 @@ from cosim.log.mcap_records import (
     PAD,
     RECORD_HEADER,
 )
-from cosim.log.metadata import PREFIX, verify_checksum
 
 # what parsing bytes from outside may raise
 MALFORMED: Final = (McapError, ValueError, KeyError, TypeError, OverflowError, struct.error)
@@ -50,11 +45,10 @@ _MOST_SUMMARY: Final = 2**30  # bytes
 _MOST_NAME: Final = 2**10
 _SPAN_BYTES: Final = 2**22  # of messages outside chunks that are read as one piece
 _READ_BYTES: Final = 2**22
-_ATTACHMENT_TIMES: Final = 16  # bytes: log time, creation time
+ATTACHMENT_TIMES: Final = 16  # bytes: log time, creation time
 
 
-@dataclass(frozen=True, slots=True)
-class RecordSpan:
+class RecordSpan(NamedTuple):
     """Bytes ``start`` to ``stop`` of a record, or of messages outside chunks, headers included."""
 
     opcode: int
@@ -75,8 +69,9 @@ class Places:
     ----------
     data : list of RecordSpan
         Chunks, and spans of messages outside chunks.
-    schemas, channels, metadata, attachments : list of RecordSpan
-        Outside chunks; an index leaves out schemas and channels, which its summary repeats.
+    others : dict of opcode to list of RecordSpan
+        Metadata and attachments; schemas and channels outside chunks, which an index leaves out, as
+        its summary repeats them.
     summary : Summary
         Empty where there is none.
     is_indexed : bool
@@ -87,10 +82,7 @@ class Places:
     """
 
     data: list[RecordSpan] = field(default_factory=list)
-    schemas: list[RecordSpan] = field(default_factory=list)
-    channels: list[RecordSpan] = field(default_factory=list)
-    metadata: list[RecordSpan] = field(default_factory=list)
-    attachments: list[RecordSpan] = field(default_factory=list)
+    others: dict[int, list[RecordSpan]] = field(default_factory=lambda: defaultdict(list))
     summary: Summary = field(default_factory=Summary)
     is_indexed: bool = False
     is_unfinished: bool = False
@@ -101,23 +93,17 @@ class Places:
         return [span for span in self.data if span.opcode == Opcode.CHUNK]
 
     def add(self, opcode: int, start: int, stop: int) -> None:
-        """Add a record of the data section to the list it belongs to."""
-        lists = {
-            Opcode.CHUNK: self.data,
-            Opcode.SCHEMA: self.schemas,
-            Opcode.CHANNEL: self.channels,
-            Opcode.METADATA: self.metadata,
-            Opcode.ATTACHMENT: self.attachments,
-        }
-        if opcode == Opcode.MESSAGE:
-            last = self.data[-1] if self.data else RecordSpan(Opcode.CHUNK, 0, 0)
+        """Add a record of the data section; messages side by side are one span."""
+        if opcode not in (Opcode.CHUNK, Opcode.MESSAGE):
+            self.others[opcode].append(RecordSpan(opcode, start, stop))
+            return
+        if opcode == Opcode.MESSAGE and self.data:
+            last = self.data[-1]
             is_adjacent = last.opcode == Opcode.MESSAGE and last.stop == start
             if is_adjacent and stop - last.start <= _SPAN_BYTES:
-                self.data[-1] = RecordSpan(opcode, last.start, stop)
-            else:
-                self.data.append(RecordSpan(opcode, start, stop))
-        elif opcode in lists:
-            lists[Opcode(opcode)].append(RecordSpan(opcode, start, stop))
+                start = last.start
+                del self.data[-1]
+        self.data.append(RecordSpan(opcode, start, stop))
 
 
 def damage_error(path: Path, offset: int, reason: str) -> LogError:
@@ -130,6 +116,23 @@ def parsed(kind: Any, content: bytes | memoryview) -> Any:
     return kind.read(ReadDataStream(BytesIO(content)))
 
 
+def record_bounds(block: bytes | memoryview, position: int) -> tuple[int, int]:
+    """Return opcode and end of the record that begins at a place of a chunk's content.
+
+    Raises
+    ------
+    ValueError
+        If no whole record is there.
+    """
+    if position + HEADER > len(block):
+        raise ValueError(f"{len(block) - position} surplus bytes in a chunk")
+    opcode, length = RECORD_HEADER.unpack_from(block, position)
+    stop: int = position + HEADER + length
+    if stop > len(block):
+        raise ValueError(f"a record of {length} bytes does not fit into its chunk")
+    return opcode, stop
+
+
 def records_in(block: bytes | memoryview) -> Iterator[tuple[int, int, int]]:
     """Yield opcode, start and end of the content of records one after the other.
 
@@ -139,16 +142,10 @@ def records_in(block: bytes | memoryview) -> Iterator[tuple[int, int, int]]:
         If the last one is not whole.
     """
     position = 0
-    size = len(block)
-    while position < size:
-        if position + HEADER > size:
-            raise ValueError(f"{size - position} surplus bytes in a chunk")
-        opcode, length = RECORD_HEADER.unpack_from(block, position)
-        begin = position + HEADER
-        position = begin + length
-        if position > size:
-            raise ValueError(f"a record of {length} bytes does not fit into its chunk")
-        yield opcode, begin, position
+    while position < len(block):
+        opcode, stop = record_bounds(block, position)
+        yield opcode, position + HEADER, stop
+        position = stop
 
 
 def library_of(stream: BinaryIO) -> str | None:
@@ -286,6 +283,17 @@ def _chunk_index(content: bytes) -> records.ChunkIndex:
     )
 
 
+def find_places(path: Path, stream: BinaryIO) -> Places:
+    """Return where a file has its records.
+
+    Raises
+    ------
+    LogError
+        If it is not MCAP, truncated or damaged; or another of what is malformed.
+    """
+    return indexed(path, stream) or walked(path, stream)
+
+
 # --- by the summary ---
 
 
@@ -300,11 +308,12 @@ def indexed(path: Path, stream: BinaryIO) -> Places | None:
     footer = _footer(stream)
     if footer is None or not footer.start:
         return None
-    if not is_ours(stream) and (footer.crc or not _has_seal(stream, footer)):
-        return None
     section = _section(path, stream, footer)
+    sealed = b"" if footer.crc else _sealed(section, footer.start)
+    if not sealed and not is_ours(stream):  # no CRC vouches for the header that says so
+        return None
     if not footer.crc:
-        section = _sealed(section, footer.start)
+        section = sealed
         if not section:
             reason = "the CRC of the summary does not match its content"
             raise damage_error(path, footer.start, reason)
@@ -335,21 +344,14 @@ def _check_counts(path: Path, places: Places) -> None:
     statistics = places.summary.statistics
     if statistics is None:
         return
-    counts = (len(places.chunks), len(places.metadata), len(places.attachments))
+    others = [len(places.others[opcode]) for opcode in (Opcode.METADATA, Opcode.ATTACHMENT)]
+    counts = (len(places.chunks), *others)
     expected = (statistics.chunk_count, statistics.metadata_count, statistics.attachment_count)
     if counts != expected:
         raise LogError(
             f"{path} is damaged: expected {expected} chunks, metadata records and attachments, as "
             f"in its summary, got {counts}"
         )
-
-
-def _has_seal(stream: BinaryIO, footer: _Footer) -> bool:
-    """Return whether a seal vouches for a summary: no CRC does for the header before it."""
-    if not len(MAGIC) < footer.start < footer.position <= footer.start + _MOST_SUMMARY:
-        return False
-    stream.seek(footer.start)
-    return bool(_sealed(stream.read(footer.position - footer.start), footer.start))
 
 
 def _sealed(section: bytes, start: int) -> bytes:
@@ -456,119 +458,6 @@ def _incomplete(
     )
 
 
-# --- by a search ---
-
-# Opcodes of what is looked for, and lengths below 2**40: other records have these bytes by chance
-# now and then, and are refused by their content.
-_CANDIDATE: Final = re.compile(rb"[\x03\x04\x06\x09\x0b\x0c].{5}\x00\x00\x00", re.DOTALL)
-_MOST_FACTS: Final = 2**24  # bytes of a schema, a channel or metadata
-_LARGEST: Final = {Opcode.CHUNK: MOST_BYTES, Opcode.ATTACHMENT: MOST_ATTACHED}
-_OF_CHANNELS: Final = "cosim.channel"  # what their metadata have a checksum as
-
-
-def searched(path: Path) -> Places:
-    """Return where the intact records of a damaged log stand.
-
-    A record is intact if its content proves it: a chunk by the CRC of its decompressed records, an
-    attachment by its CRC, metadata and channels of cosim by their checksums, a schema if it can be
-    read to its last byte. What lies between is searched byte by byte, so that a wrong length or a
-    lost page costs no more than the records that it is in. The holes, slots and pads of an
-    unfinished file are searched, too: chunks there that were replaced by later ones have rows of
-    the run. Of all statistics those of most messages are the summary.
-
-    Raises
-    ------
-    LogError
-        If the file cannot be read, or is empty.
-    """
-    places = Places()
-    with open_file(path) as stream:
-        try:
-            content = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
-        except ValueError as error:
-            raise LogError(f"{path} is empty; expected an MCAP file") from error
-        with content:
-            position = 0
-            while True:
-                match = _CANDIDATE.search(content, position)
-                if match is None:
-                    return places
-                position = match.start()
-                del match  # it holds the mapping
-                position = _intact_end(places, content, position) or position + 1
-
-
-def _intact_end(places: Places, content: mmap.mmap, start: int) -> int:
-    """Add the record that begins at ``start``; return its end, 0: there is no intact one."""
-    opcode, length = RECORD_HEADER.unpack_from(content, start)
-    stop: int = start + HEADER + length
-    if stop > len(content) or length > _LARGEST.get(opcode, _MOST_FACTS):
-        return 0
-    try:
-        # cheap, before anything is copied
-        if opcode == Opcode.CHUNK:
-            header = read_chunk_header(content[start : start + CHUNK_HEAD], stop - start)
-            if header.first_ns > header.last_ns or header.data_stop != stop - start:
-                return 0
-        if opcode == Opcode.ATTACHMENT and not _is_attachment(content, start + HEADER, stop):
-            return 0
-        _INTACT[opcode](places, content[start:stop])
-    except (*MALFORMED, EOFError, AssertionError):
-        return 0
-    places.add(opcode, start, stop)
-    return stop
-
-
-def _is_attachment(content: mmap.mmap, start: int, stop: int) -> bool:
-    """Return whether the sizes in what may be an attachment fit together."""
-    position = start + _ATTACHMENT_TIMES
-    for _ in range(2):  # its name and its type
-        if position + 4 > stop:
-            return False
-        position += 4 + int.from_bytes(content[position : position + 4], "little")
-    if position + 8 > stop:
-        return False
-    size = int.from_bytes(content[position : position + 8], "little")
-    return bool(position + 8 + size + 4 == stop)
-
-
-def _whole(kind: Any, record: bytes) -> Any:
-    """Read a record to its last byte."""
-    content = BytesIO(record[HEADER:])
-    value = kind.read(ReadDataStream(content))
-    if content.tell() != len(record) - HEADER:
-        raise ValueError("a record of another length")
-    return value
-
-
-def _check_chunk(places: Places, record: bytes) -> None:
-    if not read_chunk_header(record, len(record)).crc:
-        raise ValueError("a chunk without a CRC")
-    decompressed(record)
-
-
-def _check_schema(places: Places, record: bytes) -> None:
-    schema = _whole(records.Schema, record)
-    # some bytes look like a record of nothing
-    if schema.encoding != "protobuf" or not schema.name or not schema.data:
-        raise ValueError("a schema of another kind")
-
-
-def _check_channel(places: Places, record: bytes) -> None:
-    channel = _whole(records.Channel, record)
-    if channel.message_encoding != "protobuf" or not channel.topic.startswith("/"):
-        raise ValueError("a channel of another kind")
-    if any(key.startswith(PREFIX) for key in channel.metadata):
-        verify_checksum(_OF_CHANNELS, channel.metadata)
-
-
-def _check_metadata(places: Places, record: bytes) -> None:
-    item = _whole(records.Metadata, record)
-    if not item.name:
-        raise ValueError("metadata without a name")
-    verify_checksum(item.name, item.metadata)
-
-
 def check_attachment(record: bytes, *, needs_crc: bool = False) -> None:
     """Check the CRC of an attachment.
 
@@ -580,28 +469,3 @@ def check_attachment(record: bytes, *, needs_crc: bool = False) -> None:
     crc = int.from_bytes(record[-4:], "little")
     if (needs_crc or crc) and isal_zlib.crc32(record[HEADER:-4]) != crc:
         raise ValueError("the CRC of an attachment does not match its content")
-
-
-def _check_attachment(places: Places, record: bytes) -> None:
-    check_attachment(record, needs_crc=True)
-    parsed(records.Attachment, record[HEADER:])
-
-
-def _take_statistics(places: Places, record: bytes) -> None:
-    """Take the statistics of a file; nothing vouches for them but that they add up."""
-    found = _whole(records.Statistics, record)
-    if not found.message_count or sum(found.channel_message_counts.values()) != found.message_count:
-        raise ValueError("statistics that do not add up")
-    known = places.summary.statistics
-    if known is None or found.message_count > known.message_count:
-        places.summary.statistics = found
-
-
-_INTACT: Final[dict[int, Callable[[Places, bytes], None]]] = {
-    Opcode.CHUNK: _check_chunk,
-    Opcode.SCHEMA: _check_schema,
-    Opcode.CHANNEL: _check_channel,
-    Opcode.METADATA: _check_metadata,
-    Opcode.ATTACHMENT: _check_attachment,
-    Opcode.STATISTICS: _take_statistics,
-}

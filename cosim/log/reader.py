@@ -5,6 +5,7 @@ A component's rows are read when first asked for, chunk by chunk, with every CRC
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from operator import attrgetter, itemgetter
@@ -19,7 +20,7 @@ from cosim.arguments import log_argument
 from cosim.arrays import Mask, Matrix, Nanoseconds
 from cosim.core.contracts import Design
 from cosim.core.recorded.partial import PartialChannels, declared_channels
-from cosim.core.recorded.run import RecordedRun, rows_within
+from cosim.core.recorded.run import RecordedRun
 from cosim.core.recorded.selection import select_signals
 from cosim.core.recorded.signals import RunMessage, find_channel
 from cosim.core.recorders import Memory
@@ -32,7 +33,9 @@ from cosim.log.files import OwnFile, log_path
 from cosim.log.layout import read_channels, read_number, read_partial, read_parts
 from cosim.log.messages import decode_event, decode_log, decode_substep
 from cosim.log.metadata import (
+    combine_hashes,
     decode_design,
+    hash_input,
     hash_signals,
     json_table,
     json_texts,
@@ -56,6 +59,7 @@ _LOG_TIME = slice(6, 14)  # of a message record's content
 _DATA = slice(22, None)
 _TOPICS = (LOG_TOPIC, EVENT_TOPIC, STEP_TOPIC)  # of messages beside the rows
 _Parsed = TypeVar("_Parsed")
+_Text = TypeVar("_Text")
 
 
 def open_log(path: Path | str) -> Log:
@@ -180,15 +184,10 @@ class Log(RecordedRun):
         From the result, or, of an unfinished log, from the numbers of its rows.
         """
         if self._is_unfinished:
-            return self._last_step
+            return self._last_step(self._first_steps)
         return self._result_number("steps")
 
-    @property
-    def _last_step(self) -> int:
-        """The last step that a component has a row of."""
-        return self._last_step_from(self._first_steps)
-
-    def _last_step_from(self, first_steps: Mapping[str, int]) -> int:
+    def _last_step(self, first_steps: Mapping[str, int]) -> int:
         """Return the last step that a component has a row of, by the steps of first rows."""
         last = 0
         for number, part in self._parts.items():
@@ -207,7 +206,7 @@ class Log(RecordedRun):
         read.
         """
         at_start = dict.fromkeys(self._channels, 0)
-        end_ns = self._grid.stamp(self._last_step_from(at_start))
+        end_ns = self._grid.stamp(self._last_step(at_start))
         statistics = self._file.summary.statistics
         if statistics is None or end_ns == int(statistics.message_end_time):
             return at_start
@@ -231,17 +230,11 @@ class Log(RecordedRun):
         steps = {}
         every_step = [name for name, own in self._channels.items() if own.period == 1]
         for name in every_step[:1] or self._channels:
-            first_ns = self._first_row_ns(name)
-            if first_ns is not None:
-                steps[name] = self._grid.number(first_ns)
+            blocks = (time_ns for time_ns, _ in self.blocks(name, first_ns=0) if len(time_ns))
+            first = next(blocks, None)
+            if first is not None:
+                steps[name] = self._grid.number(int(first[0]))
         return steps
-
-    def _first_row_ns(self, component: str) -> int | None:
-        """Return the first instant of a component [ns]; None: it has no row."""
-        for time_ns, _ in self.blocks(component, first_ns=0):
-            if len(time_ns):
-                return int(time_ns[0])
-        return None
 
     @property
     def _message_start_ns(self) -> int:
@@ -276,10 +269,9 @@ class Log(RecordedRun):
         """
         if self._is_unfinished:
             return None
-        try:
-            return self._metadata[RESULT]["content_hash"]
-        except KeyError as error:
-            raise self._missing("content_hash") from error
+        if "content_hash" not in self._metadata.get(RESULT, {}):
+            raise self._missing("content_hash")
+        return self._metadata[RESULT]["content_hash"]
 
     @property
     def schedule(self) -> list[str]:
@@ -291,10 +283,7 @@ class Log(RecordedRun):
             If they are not a list of strings.
         """
         text = self._metadata.get("cosim.schedule", {}).get("stages", "[]")
-        try:
-            return json_texts(text)
-        except MALFORMED as error:
-            raise LogError(f"{self.path}: stages cannot be parsed: {error}") from error
+        return self._parsed("stages", json_texts, text)
 
     @property
     def results(self) -> Mapping[str, Any]:
@@ -309,10 +298,7 @@ class Log(RecordedRun):
         """
         if RESULT_FILE not in self._attachments:
             return {}
-        try:
-            return json_table(self.attachment(RESULT_FILE))
-        except ValueError as error:
-            raise LogError(f"{self.path}: {RESULT_FILE} cannot be read: {error}") from error
+        return self._parsed(RESULT_FILE, json_table, self.attachment(RESULT_FILE))
 
     @cached_property
     def designs(self) -> Mapping[str, Design]:
@@ -350,12 +336,12 @@ class Log(RecordedRun):
         LogError
             If the file is damaged.
         """
-        find_channel(self._channels, component, source=str(self.path))
-        return self._rows.times(component)
+        self._check_known(component)
+        return self._rows.of(component, slice(0, 0))[0]
 
     def columns(self, component: str, columns: slice) -> Matrix:
         """Return some columns of a component's rows, shape (N, columns); read-only."""
-        return self._rows.columns(component, columns)
+        return self._rows.of(component, columns)[1]
 
     def blocks_of(
         self,
@@ -375,10 +361,12 @@ class Log(RecordedRun):
         LogError
             If the file is damaged.
         """
+        self._check_known(*components)
+        yield from self._rows.blocks(components, first_ns, last_ns)
+
+    def _check_known(self, *components: str) -> None:
         for name in components:
             find_channel(self._channels, name, source=str(self.path))
-        for name, time_ns, rows in self._rows.blocks(components, first_ns, last_ns):
-            yield name, *rows_within(time_ns, rows, first_ns, last_ns)
 
     @property
     def row_bytes(self) -> int:
@@ -393,7 +381,7 @@ class Log(RecordedRun):
         UnknownSignalError
             If there is no such component; names the nearest.
         """
-        find_channel(self._channels, component, source=str(self.path))
+        self._check_known(component)
         return self._rows.shares_chunks(component)
 
     def load(self, *components: str) -> None:
@@ -406,8 +394,7 @@ class Log(RecordedRun):
         LogError
             If the file is damaged.
         """
-        for name in components:
-            find_channel(self._channels, name, source=str(self.path))
+        self._check_known(*components)
         self._rows.load(components)
 
     def attachment(self, name: str) -> bytes:
@@ -424,71 +411,32 @@ class Log(RecordedRun):
         return bytes(self._file.attachment(self._attachments[name]).data)
 
     def messages(self) -> list[RunMessage]:
-        """Return the messages of the run and its components, in the order of time.
-
-        Raises
-        ------
-        LogError
-            If the file is damaged.
-        """
+        """Return the messages of the run and its components, in the order of time."""
         return sorted(self.each_message(), key=lambda message: message.time_ns)
 
     def each_message(self) -> Iterator[RunMessage]:
-        """Yield the messages in the order of the file.
-
-        Raises
-        ------
-        LogError
-            If the file is damaged.
-        """
-        try:
-            for time_ns, data in self._messages_of(LOG_TOPIC):
-                level, source, text = decode_log(data)
-                yield RunMessage(time_ns, level, source, text)
-        except MALFORMED as error:
-            raise LogError(f"{self.path} is damaged: {error}") from error
+        """Yield the messages in the order of the file."""
+        return self._messages_of(
+            LOG_TOPIC, lambda time_ns, data: RunMessage(time_ns, *decode_log(data))
+        )
 
     def events(self) -> list[SignalEvent]:
-        """Return the jumps of signals, in the order of time.
-
-        Raises
-        ------
-        LogError
-            If the file is damaged.
-        """
-        try:
-            events = [decode_event(*message) for message in self._messages_of(EVENT_TOPIC)]
-        except MALFORMED as error:
-            raise LogError(f"{self.path} is damaged: {error}") from error
+        """Return the jumps of signals, in the order of time."""
+        events = self._messages_of(EVENT_TOPIC, decode_event)
         return sorted(events, key=lambda event: event.time_ns)
 
     def substeps(self) -> list[Substep]:
-        """Return the substeps of loops, in the order of where they begin.
-
-        Raises
-        ------
-        LogError
-            If the file is damaged.
-        """
-        try:
-            substeps = [decode_substep(data) for _, data in self._messages_of(STEP_TOPIC)]
-        except MALFORMED as error:
-            raise LogError(f"{self.path} is damaged: {error}") from error
+        """Return the substeps of loops, in the order of where they begin."""
+        substeps = self._messages_of(STEP_TOPIC, lambda _, data: decode_substep(data))
         return sorted(substeps, key=attrgetter("begin"))
 
     def message_counts(self) -> dict[str, int]:
-        """Return how many messages there are beside the rows, by topic, where there are any.
-
-        Raises
-        ------
-        LogError
-            If the file is damaged.
-        """
+        """Return how many messages there are beside the rows, by topic, where there are any."""
         counts = {}
         statistics = self._file.summary.statistics
         for topic in _TOPICS:
             if statistics is None:
-                count = sum(1 for _ in self._messages_of(topic))
+                count = sum(1 for _ in self._messages_of(topic, lambda *_: None))
             else:
                 numbers = statistics.channel_message_counts
                 count = sum(numbers.get(number, 0) for number in self._channels_of(topic))
@@ -505,40 +453,39 @@ class Log(RecordedRun):
         ----------
         first_ns, last_ns : int or None
             Those in ``first_ns <= time <= last_ns`` [ns]; None: without that bound.
-
-        Raises
-        ------
-        LogError
-            If the file is damaged.
         """
         messages = []
-        try:
-            for topic in _TOPICS:
-                for time_ns, data in self._messages_of(topic, first_ns, last_ns):
-                    is_late = first_ns is None or time_ns >= first_ns
-                    if is_late and (last_ns is None or time_ns <= last_ns):
-                        messages.append((topic, time_ns, data))
-        except MALFORMED as error:
-            raise LogError(f"{self.path} is damaged: {error}") from error
+        for topic in _TOPICS:
+            own = self._messages_of(topic, lambda *message: message, first_ns, last_ns)
+            messages += [(topic, *message) for message in own]
         return sorted(messages, key=itemgetter(1))
 
     def _channels_of(self, topic: str) -> set[int]:
         return {number for number, channel in self._declared.items() if channel.topic == topic}
 
     def _messages_of(
-        self, topic: str, first_ns: int | None = None, last_ns: int | None = None
-    ) -> Iterator[tuple[int, bytes]]:
-        """Yield time [ns] and data of the messages of a topic, in the order of the file.
+        self,
+        topic: str,
+        decode: Callable[[int, bytes], _Parsed],
+        first_ns: int | None = None,
+        last_ns: int | None = None,
+    ) -> Iterator[_Parsed]:
+        """Yield the messages of a topic, decoded with their times, in the order of the file.
 
-        Chunks without messages in ``first_ns <= time <= last_ns`` are not read.
+        Only those in ``first_ns <= time <= last_ns``; other chunks are not read.
         """
         channel_ids = self._channels_of(topic)
         if not channel_ids:
             return
-        for record in self._rows.other_records(channel_ids, first_ns, last_ns):
-            if record.opcode == Opcode.MESSAGE and record.channel_id in channel_ids:
-                time_ns = int.from_bytes(record.content[_LOG_TIME], "little")
-                yield time_ns, bytes(record.content[_DATA])
+        try:
+            for record in self._rows.other_records(channel_ids, first_ns, last_ns):
+                if record.opcode == Opcode.MESSAGE and record.channel_id in channel_ids:
+                    time_ns = int.from_bytes(record.content[_LOG_TIME], "little")
+                    is_late = first_ns is None or time_ns >= first_ns
+                    if is_late and (last_ns is None or time_ns <= last_ns):
+                        yield decode(time_ns, record.content[_DATA])
+        except MALFORMED as error:
+            raise LogError(f"{self.path} is damaged: {error}") from error
 
     def content_hash(self) -> str:
         """Compute the hash of every bit of every signal from the rows, in one pass over the file.
@@ -550,7 +497,17 @@ class Log(RecordedRun):
         LogError
             If the file is damaged, or has too many rows to be sorted.
         """
-        return self._rows.content_hash()
+        digests = {name: hashlib.sha256() for name in self._channels}
+        for name, time_ns, rows in self._rows.blocks(list(digests), None, None):
+            digests[name].update(hash_input(time_ns, rows))
+        components = []
+        for number, part in self._parts.items():
+            if part.columns.start == 0:
+                # as it was recorded: written anew, it would have what a later version adds to it
+                signals = self._declared[number].metadata["cosim.signals"]
+                name = part.channel.name
+                components.append((name, signals, digests[name].hexdigest()))
+        return combine_hashes(components)
 
     def signal_hashes(self, signals: Iterable[str] | str | None = None) -> dict[str, str]:
         """Compute a hash of the times and bits of each signal, in one pass over each component.
@@ -611,12 +568,11 @@ class Log(RecordedRun):
         LogError
             If that cannot be parsed.
         """
-        try:
-            found = read_partial(self._metadata, self._channels)
-        except (*MALFORMED, GraphError) as error:
-            raise LogError(
-                f"{self.path}: the record of the run cannot be parsed: {error}"
-            ) from error
+        found = self._parsed(
+            "the record of the run",
+            lambda items: read_partial(items, self._channels),
+            self._metadata,
+        )
         if found is not None:
             partial, self._kinds = found
             self._channels = PartialChannels(self._channels, partial)
@@ -631,12 +587,9 @@ class Log(RecordedRun):
         return metadata
 
     def _result_number(self, key: str) -> int:
-        try:
-            return read_number(self._metadata[RESULT][key])
-        except KeyError as error:
-            raise self._missing(key) from error
-        except ValueError as error:
-            raise LogError(f"{self.path}: {key} cannot be parsed: {error}") from error
+        if key not in self._metadata.get(RESULT, {}):
+            raise self._missing(key)
+        return self._parsed(key, read_number, self._metadata[RESULT][key])
 
     def _missing(self, key: str) -> LogError:
         return LogError(
@@ -649,12 +602,15 @@ class Log(RecordedRun):
         """Parse a component's metadata; ``default`` where another tool left them out."""
         items = self._metadata.get(f"cosim.component.{component}", {})
         text = items.get(key)
+        if text is None:
+            return default
+        return self._parsed(f"{key} of {component!r}", parse, text)
+
+    def _parsed(self, what: str, parse: Callable[[_Text], _Parsed], text: _Text) -> _Parsed:
         try:
-            return default if text is None else parse(text)
-        except MALFORMED as error:
-            raise LogError(
-                f"{self.path}: {key} of {component!r} cannot be parsed: {error}"
-            ) from error
+            return parse(text)
+        except (*MALFORMED, GraphError) as error:
+            raise LogError(f"{self.path}: {what} cannot be parsed: {error}") from error
 
 
 def _read_mask(text: str) -> Mask:

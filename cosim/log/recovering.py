@@ -5,23 +5,39 @@ Rows that are found twice are recognized by their times.
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterable, Mapping
+import mmap
+import re
+from collections import Counter, defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from io import BytesIO
 from pathlib import Path
-from typing import Any, final
+from typing import Any, BinaryIO, Final, final
 
 import numpy as np
+from mcap import records
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
 
 from cosim.arrays import Mask, Nanoseconds
 from cosim.core.recorded.run import SCENARIO_FILE
 from cosim.errors import LogError
 from cosim.instants import NANOSECONDS, Grid
+from cosim.log.chunks import CHUNK_HEAD, MOST_BYTES, decompressed, read_chunk_header
 from cosim.log.container import Container
 from cosim.log.files import UnfinishedLog, log_path
+from cosim.log.mcap_records import HEADER, RECORD_HEADER
+from cosim.log.metadata import PREFIX, verify_checksum
 from cosim.log.pieces import LogPieces, gathered, write_log
-from cosim.log.places import MALFORMED
-from cosim.log.preamble import PARTIAL_STATUS, RESULT, ResultItems
+from cosim.log.places import (
+    ATTACHMENT_TIMES,
+    MALFORMED,
+    MOST_ATTACHED,
+    Places,
+    check_attachment,
+    parsed,
+)
+from cosim.log.preamble import PARTIAL_STATUS, RESULT
 from cosim.log.reader import Log
 
 
@@ -163,15 +179,32 @@ def recover(path: Path, out: Path, *, force: bool = False) -> RecoveredLog:
     path = log_path(path)
     target = UnfinishedLog(out, force=force)
     target.check_not_read([path])
-    file = Container(path, is_damaged=True)
+    file = Container(path, find=searched)
     declared = LogPieces.of(file)
     pieces = _complete_components(declared)
     times, counts = _times(file, pieces)
     if not any(len(time_ns) for time_ns in times.values()):
         raise LogError(f"{path}: no intact row; run it again")
     selection = _Selection(pieces, times)
-    rows, end_ns, end_is_known = _missing(declared, times)
-    end = _end(path, pieces, rows, times)
+    first_row = min(int(own[0]) for own in times.values() if len(own))
+    last_row = max(int(own[-1]) for own in times.values() if len(own))
+    of_run = declared.metadata.get(RESULT, {})
+    known_end = of_run.get("end_ns", "")
+    end_is_known = known_end.isdecimal()
+    end_ns = int(known_end) if end_is_known else last_row
+    # The file of a part of a run has never had the rows before it.
+    is_part = of_run.get("status") == PARTIAL_STATUS
+    start_ns = first_row if is_part else min(declared.start_ns, first_row)
+    rows = {}
+    for part in declared.parts.values():
+        name = part.channel.name
+        own = times.get(name, np.empty(0, np.int64))
+        grid = Grid(start_ns, part.step_ns)
+        rows[name] = missing_rows(own, grid, part.channel.period, max(end_ns, last_row))
+    # A run without holes was interrupted at its last row.
+    is_begun = first_row == pieces.start_ns and not any(own.lost for own in rows.values())
+    status = "interrupted" if is_begun else PARTIAL_STATUS
+    end = pieces.end_of(status, f"recovered from {path.name}", last_row)
     has_all_messages = _has_all_messages(file, pieces, counts)
     if not has_all_messages:  # without them it is not the log of the run, whatever its hash is
         pieces = replace(pieces, metadata=pieces.kept_metadata)
@@ -182,16 +215,16 @@ def recover(path: Path, out: Path, *, force: bool = False) -> RecoveredLog:
 
 def _complete_components(pieces: LogPieces) -> LogPieces:
     """Return the pieces without components that have lost a channel: no row is whole there."""
-    sizes: dict[str, int] = {}
+    sizes: Counter[str] = Counter()
     for part in pieces.parts.values():
-        name = part.channel.name
-        sizes[name] = sizes.get(name, 0) + part.size
-    lost = set()
+        sizes[part.channel.name] += part.size
+    parts = {}
     for number, part in pieces.parts.items():
-        width = part.channel.columns.stop - part.channel.start
-        if sizes[part.channel.name] != width:
-            lost.add(number)
-    return replace(pieces, channels=[own for own in pieces.channels if own.id not in lost])
+        if sizes[part.channel.name] == part.channel.columns.stop - part.channel.start:
+            parts[number] = part
+    lost = pieces.parts.keys() - parts.keys()
+    channels = [own for own in pieces.channels if own.id not in lost]
+    return replace(pieces, channels=channels, parts=parts)
 
 
 def _has_all_messages(file: Container, pieces: LogPieces, counts: Mapping[int, int]) -> bool:
@@ -242,24 +275,24 @@ class _Selection:
     """
 
     def __init__(self, pieces: LogPieces, times: Mapping[str, Nanoseconds]) -> None:
-        self._names = {number: part.channel.name for number, part in pieces.parts.items()}
-        self._times = times
+        self._times = {number: times[part.channel.name] for number, part in pieces.parts.items()}
+        self._taken = {number: np.zeros(len(own), np.bool_) for number, own in self._times.items()}
         self._known = {channel.id for channel in pieces.channels}
-        self._taken = {
-            number: np.zeros(len(times[name]), np.bool_) for number, name in self._names.items()
-        }
         self._messages: set[tuple[int, bytes]] = set()
 
     def wanted(self, number: int, time_ns: Nanoseconds, contents: list[bytes] | None) -> Mask:
         """Return which of some messages of a channel are wanted."""
-        if number not in self._known:
-            return np.zeros(len(time_ns), np.bool_)
-        if contents is None:
+        if number in self._taken:
             return self._wanted_rows(number, time_ns)
-        return self._wanted_messages(number, contents)
+        wanted = np.zeros(len(time_ns), np.bool_)
+        if number in self._known:
+            for place, content in enumerate(contents or ()):
+                wanted[place] = (number, content) not in self._messages
+                self._messages.add((number, content))
+        return wanted
 
     def _wanted_rows(self, number: int, time_ns: Nanoseconds) -> Mask:
-        all_times = self._times[self._names[number]]
+        all_times = self._times[number]
         taken = self._taken[number]
         wanted: Mask = np.zeros(len(time_ns), np.bool_)
         if not len(all_times):
@@ -273,45 +306,130 @@ class _Selection:
         taken[places[wanted]] = True
         return wanted
 
-    def _wanted_messages(self, number: int, contents: Iterable[bytes]) -> Mask:
-        wanted = []
-        for content in contents:
-            key = number, content
-            wanted.append(key not in self._messages)
-            self._messages.add(key)
-        return np.array(wanted, np.bool_)
+
+# --- the intact records of a damaged file ---
+
+# Opcodes of what is looked for, and lengths below 2**40: other records have these bytes by chance
+# now and then, and are refused by their content.
+_CANDIDATE: Final = re.compile(rb"[\x03\x04\x06\x09\x0b\x0c].{5}\x00\x00\x00", re.DOTALL)
+_MOST_FACTS: Final = 2**24  # bytes of a schema, a channel or metadata
+_LARGEST: Final = {Opcode.CHUNK: MOST_BYTES, Opcode.ATTACHMENT: MOST_ATTACHED}
+_OF_CHANNELS: Final = "cosim.channel"  # what their metadata have a checksum as
 
 
-def _missing(
-    pieces: LogPieces, times: Mapping[str, Nanoseconds]
-) -> tuple[dict[str, RecoveredRows], int, bool]:
-    """Return the missing rows of each component, up to when, and whether that is the end."""
-    last_row = max(int(own[-1]) for own in times.values() if len(own))
-    of_file = pieces.metadata.get(RESULT, {})
-    known_end = of_file.get("end_ns", "")
-    end_ns = int(known_end) if known_end.isdecimal() else last_row
-    first_row = min(int(own[0]) for own in times.values() if len(own))
-    # The file of a part of a run has never had the rows before it.
-    is_part = of_file.get("status") == PARTIAL_STATUS
-    start_ns = first_row if is_part else min(pieces.start_ns, first_row)
-    rows = {}
-    for part in pieces.parts.values():
-        name = part.channel.name
-        grid = Grid(start_ns, part.step_ns)
-        own = times.get(name, np.empty(0, np.int64))
-        rows[name] = missing_rows(own, grid, part.channel.period, max(end_ns, last_row))
-    return rows, end_ns, known_end.isdecimal()
+def searched(path: Path, stream: BinaryIO) -> Places:
+    """Return where the intact records of a damaged log stand.
+
+    A record is intact if its content proves it: a chunk by the CRC of its decompressed records, an
+    attachment by its CRC, metadata and channels of cosim by their checksums, a schema if it can be
+    read to its last byte. What lies between is searched byte by byte, so that a wrong length or a
+    lost page costs no more than the records that it is in. The holes, slots and pads of an
+    unfinished file are searched, too: chunks there that were replaced by later ones have rows of
+    the run. Of all statistics those of most messages are the summary.
+
+    Raises
+    ------
+    LogError
+        If the file is empty.
+    """
+    places = Places()
+    try:
+        content = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+    except ValueError as error:
+        raise LogError(f"{path} is empty; expected an MCAP file") from error
+    with content:
+        position = 0
+        while True:
+            match = _CANDIDATE.search(content, position)
+            if match is None:
+                return places
+            position = match.start()
+            del match  # it holds the mapping
+            position = _intact_end(places, content, position) or position + 1
 
 
-def _end(
-    path: Path,
-    pieces: LogPieces,
-    rows: Mapping[str, RecoveredRows],
-    times: Mapping[str, Nanoseconds],
-) -> ResultItems:
-    """Return how the recovered log ends: a run without holes was interrupted at its last row."""
-    last_row = max(int(own[-1]) for own in times.values() if len(own))
-    first_row = min(int(own[0]) for own in times.values() if len(own))
-    begins = first_row == pieces.start_ns and not any(own.lost for own in rows.values())
-    status = "interrupted" if begins else PARTIAL_STATUS
-    return pieces.end_of(status, f"recovered from {path.name}", last_row)
+def _intact_end(places: Places, content: mmap.mmap, start: int) -> int:
+    """Add the record that begins at ``start``; return its end, 0: there is no intact one."""
+    opcode, length = RECORD_HEADER.unpack_from(content, start)
+    stop: int = start + HEADER + length
+    if stop > len(content) or length > _LARGEST.get(opcode, _MOST_FACTS):
+        return 0
+    try:
+        # cheap, before anything is copied
+        if opcode == Opcode.CHUNK:
+            header = read_chunk_header(content[start : start + CHUNK_HEAD], stop - start)
+            if header.first_ns > header.last_ns or header.data_stop != stop - start:
+                return 0
+        if opcode == Opcode.ATTACHMENT and not _is_attachment(content, start + HEADER, stop):
+            return 0
+        _check_intact(opcode, content[start:stop])
+    except (*MALFORMED, EOFError, AssertionError):
+        return 0
+    if opcode == Opcode.STATISTICS:
+        found = parsed(records.Statistics, content[start + HEADER : stop])
+        known = places.summary.statistics
+        if known is None or found.message_count > known.message_count:
+            places.summary.statistics = found
+    else:
+        places.add(opcode, start, stop)
+    return stop
+
+
+def _is_attachment(content: mmap.mmap, start: int, stop: int) -> bool:
+    """Return whether the sizes in what may be an attachment fit together."""
+    position = start + ATTACHMENT_TIMES
+    for _ in range(2):  # its name and its type
+        if position + 4 > stop:
+            return False
+        position += 4 + int.from_bytes(content[position : position + 4], "little")
+    if position + 8 > stop:
+        return False
+    size = int.from_bytes(content[position : position + 8], "little")
+    return bool(position + 8 + size + 4 == stop)
+
+
+def _check_intact(opcode: int, record: bytes) -> None:
+    """Check that a record is intact, as its content proves.
+
+    Raises
+    ------
+    ValueError
+        If it is not; or another of what is malformed.
+    """
+    match opcode:
+        case Opcode.CHUNK:
+            if not read_chunk_header(record, len(record)).crc:
+                raise ValueError("a chunk without a CRC")
+            decompressed(record)
+            is_ours = True
+        case Opcode.ATTACHMENT:
+            check_attachment(record, needs_crc=True)
+            parsed(records.Attachment, record[HEADER:])
+            is_ours = True
+        case Opcode.METADATA:
+            item = _whole(records.Metadata, record)
+            verify_checksum(item.name, item.metadata)
+            is_ours = bool(item.name)
+        case Opcode.SCHEMA:  # some bytes look like a record of nothing
+            schema = _whole(records.Schema, record)
+            is_ours = schema.encoding == "protobuf" and schema.name and schema.data
+        case Opcode.CHANNEL:
+            channel = _whole(records.Channel, record)
+            is_ours = channel.message_encoding == "protobuf" and channel.topic.startswith("/")
+            if any(key.startswith(PREFIX) for key in channel.metadata):
+                verify_checksum(_OF_CHANNELS, channel.metadata)
+        case _:  # nothing vouches for statistics but that they add up
+            found = _whole(records.Statistics, record)
+            counts = found.channel_message_counts.values()
+            is_ours = found.message_count and sum(counts) == found.message_count
+    if not is_ours:
+        raise ValueError("a record of another kind")
+
+
+def _whole(kind: Any, record: bytes) -> Any:
+    """Read a record to its last byte."""
+    content = BytesIO(record[HEADER:])
+    value = kind.read(ReadDataStream(content))
+    if content.tell() != len(record) - HEADER:
+        raise ValueError("a record of another length")
+    return value

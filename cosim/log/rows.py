@@ -7,7 +7,6 @@ has reordered messages, sorted. Of a component with many rows only what is asked
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -19,13 +18,13 @@ from mcap.records import Channel as DeclaredChannel
 
 from cosim.arrays import Matrix, Nanoseconds
 from cosim.core.clock import LARGEST_NS
+from cosim.core.recorded.run import rows_within
 from cosim.core.recording import TimedRows
 from cosim.core.signals import Channel
 from cosim.errors import LogError
 from cosim.instants import NANOSECONDS, Grid
 from cosim.log.container import Container, OtherRecord, scan
 from cosim.log.layout import Part, Records, copy_columns, record_dtype
-from cosim.log.metadata import combine_hashes, hash_input
 from cosim.log.places import MALFORMED
 
 _DOUBLE_BYTES: Final = 8
@@ -96,22 +95,31 @@ class LogRows:
         wanted = components or tuple(self._channels)
         self._loaded |= self._arrays({name: None for name in wanted if name not in self._loaded})
 
-    def of(self, component: str) -> TimedRows:
-        """Return times and rows of a component; keep those that were asked for last.
+    def of(self, component: str, columns: slice | None = None) -> TimedRows:
+        """Return times and rows of a component, or some columns of them.
 
-        Those in the same chunks are read in the same pass, as far as they fit: whoever asks for one
-        component after another needs few passes.
+        Of one with many rows nothing but these columns is read then, and nothing is kept. Else
+        those in the same chunks are read in the same pass, as far as they fit, and those asked for
+        last are kept: whoever asks for one component after another needs few passes.
         """
         if component in self._loaded:
-            return self._loaded[component]
-        if component not in self._kept:
-            batch = self._batch(component)
-            self._kept |= self._arrays(dict.fromkeys(batch))
-            size = sum(map(_bytes_of, self._kept.values()))
-            for name in list(self._kept):
-                if size <= _MOST_WHOLE or name in batch:
-                    break
-                size -= _bytes_of(self._kept.pop(name))
+            times, rows = self._loaded[component]
+        elif component in self._kept:
+            times, rows = self._kept[component] = self._kept.pop(component)
+        elif columns is not None and self._row_bytes(component) > _MOST_KEPT:
+            return self._arrays({component: columns})[component]
+        else:
+            times, rows = self._read_batch(component)
+        return times, rows if columns is None else rows[:, columns]
+
+    def _read_batch(self, component: str) -> TimedRows:
+        batch = self._batch(component)
+        self._kept |= self._arrays(dict.fromkeys(batch))
+        size = sum(map(_bytes_of, self._kept.values()))
+        for name in list(self._kept):
+            if size <= _MOST_WHOLE or name in batch:
+                break
+            size -= _bytes_of(self._kept.pop(name))
         rows = self._kept[component] = self._kept.pop(component)
         return rows
 
@@ -131,21 +139,6 @@ class LogRows:
                 size = self._row_bytes(name)
             batch.append(name)
         return batch
-
-    def times(self, component: str) -> Nanoseconds:
-        """Return the times of a component's rows; of one with many nothing else is kept."""
-        return self._some(component, slice(0, 0))[0]
-
-    def columns(self, component: str, columns: slice) -> Matrix:
-        """Return some columns of a component's rows; of one with many nothing else is kept."""
-        return self._some(component, columns)[1]
-
-    def _some(self, component: str, columns: slice) -> TimedRows:
-        is_read = component in self._loaded or component in self._kept
-        if is_read or self._row_bytes(component) <= _MOST_KEPT:
-            times, rows = self.of(component)
-            return times, rows[:, columns]
-        return self._arrays({component: columns})[component]
 
     def _arrays(
         self, wanted: Mapping[str, slice | None], span: _Span = _WHOLE
@@ -181,18 +174,15 @@ class LogRows:
         Of few rows all are read at once, and may be in any order in the file.
         """
         span = _Span(first_ns, last_ns)
+        most = _MOST_WHOLE if self._file.places.is_indexed else _MOST_SORTED
         wanted: dict[str, slice | None] = dict.fromkeys(components)
         if len(components) == 1 and (components[0] in self._loaded or components[0] in self._kept):
-            yield components[0], *self.of(components[0])
-        elif sum(map(self._row_bytes, components)) <= self._most_whole:
-            for name, rows in self._arrays(wanted, span).items():
-                yield name, *rows
+            yield components[0], *rows_within(*self.of(components[0]), *span)
+        elif sum(map(self._row_bytes, components)) <= most:
+            for name, (times, rows) in self._arrays(wanted, span).items():
+                yield name, times, rows
         else:
             yield from self._in_order(wanted, span)
-
-    @property
-    def _most_whole(self) -> int:
-        return _MOST_WHOLE if self._file.places.is_indexed else _MOST_SORTED
 
     def _in_order(
         self, wanted: Mapping[str, slice | None], span: _Span
@@ -211,26 +201,6 @@ class LogRows:
                 )
             last[name] = int(times[-1])
             yield name, times, rows
-
-    def content_hash(self) -> str:
-        """Compute the hash of every bit of every signal from the rows, in one pass over the file.
-
-        Rows that are not in order of time, as another tool may write them, are sorted in memory.
-
-        Raises
-        ------
-        LogError
-            If the file is damaged, or has too many rows to be sorted.
-        """
-        digests = {name: hashlib.sha256() for name in self._channels}
-        for name, times, rows in self.blocks(list(digests), None, None):
-            digests[name].update(hash_input(times, rows))
-        components = []
-        for name, digest in digests.items():
-            # as it was recorded: written anew, it would have what a later version adds to it
-            declared = self._declared[next(iter(self._parts_of[name]))]
-            components.append((name, declared.metadata["cosim.signals"], digest.hexdigest()))
-        return combine_hashes(components)
 
     @property
     def row_bytes(self) -> int:

@@ -7,9 +7,9 @@ reason, and the result of the whole run, as far as it is known, is the metadata 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import final
 
@@ -19,7 +19,6 @@ from cosim.arrays import Mask, Nanoseconds
 from cosim.core.recorded.run import RecordedWindow, span_ns
 from cosim.errors import LogError, UsageError
 from cosim.instants import NANOSECONDS
-from cosim.log.chunks import MessageBatch
 from cosim.log.container import Container
 from cosim.log.files import OwnFile, UnfinishedLog, part_paths
 from cosim.log.layout import Part
@@ -177,16 +176,20 @@ def merge(paths: Sequence[Path], out: Path, *, force: bool = False) -> Log:
             )
         return known.end_of_span(parts[0].begin, max(part.end for part in parts))
 
-    return write_log(target, known, _batches(parts), end)
+    def is_wanted(number: int, time_ns: Nanoseconds, contents: list[bytes] | None) -> Mask:
+        return np.ones(len(time_ns), np.bool_)
+
+    blocks = (gathered(part.file.blocks(), part.pieces.dtypes, is_wanted) for part in parts)
+    return write_log(target, known, chain.from_iterable(blocks), end)
 
 
 def _part(path: Path) -> _RunPart:
     log = open_log(path)
-    bounds = {}
-    for name in log.channels:
-        times = [time_ns for time_ns, _ in log.blocks(name) if len(time_ns)]
-        if times:
-            bounds[name] = int(times[0][0]), int(times[-1][-1])
+    bounds: dict[str, tuple[int, int]] = {}
+    for name, time_ns, _ in log.blocks_of(list(log.channels)):
+        if len(time_ns):
+            first, _ = bounds.get(name, (int(time_ns[0]), 0))
+            bounds[name] = first, int(time_ns[-1])
     if not bounds:
         raise LogError(f"{path} has no rows; omit it")
     recorded = log.recorded_hash
@@ -257,14 +260,6 @@ def _check_consecutive(parts: Sequence[_RunPart]) -> None:
                     f"{where}, {begins}: the rows from {due / NANOSECONDS} s on are missing "
                     "between them"
                 )
-
-
-def _batches(parts: Sequence[_RunPart]) -> Iterator[list[MessageBatch]]:
-    def is_wanted(number: int, time_ns: Nanoseconds, contents: list[bytes] | None) -> Mask:
-        return np.ones(len(time_ns), np.bool_)
-
-    for part in parts:
-        yield from gathered(part.file.blocks(), part.pieces.dtypes, is_wanted)
 
 
 def open_joined(log: Path | str | Log) -> Log:

@@ -22,7 +22,7 @@ from cosim.errors import (
     LogWriteError,
     NonFiniteError,
 )
-from cosim.log import McapRecorder, container, files, open_log, recorder
+from cosim.log import McapRecorder, files, open_log, places, recorder
 from tests.log.disks import FullDisk
 from tests.log.recordings import (
     STEP_NS,
@@ -323,12 +323,12 @@ def test_a_summary_that_is_replaced_while_it_is_read_is_read_again(tmp_path, mon
         os.utime(path, ns=(0, 0))  # as a flush changes it
         return None
 
-    find_indexed = container.indexed
+    find_indexed = places.indexed
     with McapRecorder(path, flush=1e-3) as recorder:
         recorder.begin(plan())
         recorder.write(*run[0])
         wait_for_step(path, 10)
-        monkeypatch.setattr(container, "indexed", replaced)
+        monkeypatch.setattr(places, "indexed", replaced)
         log = open_log(path)
         assert (len(looks), log.status, log.steps) == (2, "unfinished", 10)
 

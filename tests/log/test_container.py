@@ -77,6 +77,19 @@ def test_a_flip_in_messages_outside_chunks_is_found(short_log, tmp_path):
         open_log(copy)
 
 
+def test_a_flip_may_hide_a_row_in_a_channel_that_is_not_declared(short_log, tmp_path):
+    """Where its writer gave no CRC, and no number of messages."""
+    content = take_apart(short_log)
+    options = {"use_chunking": False, "use_statistics": False}
+    copy = put_together(content, tmp_path / "b.mcap", **options)
+    data = bytearray(copy.read_bytes())
+    position = data.index(content.messages[5][3]) - 22  # its channel
+    data[position] ^= 64
+    copy.write_bytes(data)
+    with pytest.raises(LogError, match=r"damaged: a message of the undeclared channel 6\d"):
+        open_log(copy).rows("plant")
+
+
 def test_files_that_are_no_logs_are_named(tmp_path):
     """Missing, foreign and other people's files."""
     path = tmp_path / "a.mcap"
