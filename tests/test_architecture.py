@@ -158,7 +158,6 @@ ROOMS = {
         "conversion",
         "following",
         "difference",
-        "signal_comparison",
         "diff",
         "background",
         "store",

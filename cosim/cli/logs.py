@@ -201,6 +201,8 @@ def play(given: Given) -> None:
         "--tol SIGNAL=VALUE : numbers": "Absolute tolerance of the signals that match a pattern, "
         "instead of --atol and --rtol: '*.delta=1e-3'. If several patterns match, the last one "
         "counts. Repeatable.",
+        "--map SIGNAL=NAME : pairs": "Compare a signal of A with one of another name in B: "
+        "table.level=tank.y. Repeatable.",
         "--interpolate": "Compare at all instants of A that lie within B: between its rows a "
         "continuous signal of B is a straight line, any other keeps its value. Events are not "
         "compared.",
@@ -228,7 +230,7 @@ def diff(given: Given) -> bool:
         rtol=part if given.rtol is None else given.rtol,
         interpolate=given.interpolate or given.tube is not None,
         tube=width,
-        **given.only("atol tol"),
+        **given.only("atol tol map"),
     )
     given.print_shown(show_difference(difference))
     if given.plot is not None and difference.worst is None:
