@@ -11,7 +11,7 @@ elements, or where both are NaN. Values of b are converted to the unit of a.
 Runs of different instants are compared at those of a. Between two rows of b a continuous signal is
 a straight line, and any other keeps its value; where a signal jumps, its later value counts. NaN of
 a signal that may have no value is no row of it. In a tube a value of a is right if b has it, within
-the tolerance, at some instant no farther away than the tube is wide.
+the tolerance, at some instant no farther away than the tube is wide, and so is one of b.
 """
 
 from __future__ import annotations
@@ -88,8 +88,8 @@ def diff(
         not seen. Without it, runs are compared at the instants that they share.
     tube : float
         A value of a is right if b has it, within the tolerance, at some instant no farther away
-        [s]; implies ``interpolate``. Events are not compared then, and the rows of a component are
-        in memory.
+        [s]; and one of b, between two instants of a, if a has it there or that near. Implies
+        ``interpolate``. Events are not compared then, and the rows of a component are in memory.
     map : mapping of signal to signal, optional
         Signals of a, or elements of them, by the names that b has for them:
         ``{"table.level": "tank.y"}``.
@@ -299,11 +299,13 @@ class _Pair:
         apart = _distance(a, b) if apart is None else apart
         outside = ~same_bits if by_bits else ~(apart <= self.tolerance) | np.isinf(apart)
         self.largest = max(self.largest, float(apart.max(initial=0.0)))
-        if self.first is None and outside.any():
+        if outside.any():
             row, column = divmod(int(outside.argmax()), outside.shape[1])
             element = Port.parse(self.name).element_names(outside.shape[1])[column]
             values = float(a[row, column]), float(b[row, column])
-            self.first = ElementDifference(element, int(times[row]), *values)
+            found = ElementDifference(element, int(times[row]), *values)
+            if self.first is None or found.time_ns < self.first.time_ns:
+                self.first = found
 
     def result(self) -> SignalDifference:
         """Return how it compares."""
@@ -441,28 +443,33 @@ def _compare_between(
     tube_ns: int,
     b_is_thinned: bool,
 ) -> None:
-    """Compare signals of a component at all instants of a that lie within b, or near it."""
+    """Compare signals of a component at all instants of a that lie within b, or near it.
+
+    In a tube those of b within a are compared with what a has near them: between the instants of a
+    around them, at least, as what a has there is not known.
+    """
     (times_a, rows_a), (times_b, rows_b) = _joined(a), _joined(b)
     for pair in group:
         pair.extend_scale(rows_a)
         known_a, values_a = _measured(pair.a, times_a, rows_a[:, pair.a.columns])
         known_b, values_b = _measured(pair.b, times_b, pair.values_of_b(rows_b))
-        is_near = np.zeros(len(known_a), np.bool_)
-        if len(known_b):
-            is_near = (known_a >= known_b[0] - tube_ns) & (known_a <= known_b[-1] + tube_ns)
-        times, values = known_a[is_near], values_a[is_near]
+        is_line = is_straight(pair.a) and is_straight(pair.b)
+        times, values = _within(known_a, values_a, known_b, tube_ns)
         if len(times):
-            is_line = is_straight(pair.a) and is_straight(pair.b)
-            own = values_at(np.clip(times, known_b[0], known_b[-1]), known_b, values_b, is_line)
-            apart = _distance(values, own)
-            if tube_ns:
-                near = _from_lines if is_line else _from_steps
-                apart = np.minimum(apart, near(values, times, known_b, values_b, tube_ns))
+            span = times - tube_ns, times + tube_ns
+            own, apart = _beside(times, values, span, (known_b, values_b), is_line)
             pair.take(times, values, own, apart)
         pair.rows = (len(known_a), len(known_b), len(times))
         pair.is_equal = pair.is_equal and np.array_equal(known_a, known_b)
         is_nothing = len(known_b) > 0 and not len(times)
         pair.has_other_times = is_nothing or (len(known_a) > len(times) and not b_is_thinned)
+        times, values = _within(known_b, values_b, known_a, 0)
+        if tube_ns and len(times):
+            before = known_a[np.searchsorted(known_a, times, side="right") - 1]
+            after = known_a[np.searchsorted(known_a, times, side="left")]
+            span = np.minimum(times - tube_ns, before), np.maximum(times + tube_ns, after)
+            own, apart = _beside(times, values, span, (known_a, values_a), is_line)
+            pair.take(times, own, values, apart)
 
 
 def _joined(blocks: Iterator[TimedRows]) -> TimedRows:
@@ -479,13 +486,22 @@ def _measured(port: RecordedPort, times: Nanoseconds, values: Matrix) -> TimedRo
     return times[is_there], values[is_there]
 
 
+def _within(times: Nanoseconds, values: Matrix, known: Nanoseconds, margin_ns: int) -> TimedRows:
+    """Return the rows at times within those that are known, or near them."""
+    if not len(known):
+        return times[:0], values[:0]
+    is_there = (times >= known[0] - margin_ns) & (times <= known[-1] + margin_ns)
+    return times[is_there], values[is_there]
+
+
 def is_straight(port: RecordedPort) -> bool:
     """Return whether a signal is a straight line between two rows; else it keeps its value."""
     return port.signal.type == "real" and port.signal.variability != "discrete"
 
 
 def values_at(times: Nanoseconds, known: Nanoseconds, values: Matrix, is_line: bool) -> Matrix:
-    """Return values at times within those that are known, shape (n, size)."""
+    """Return values at times, beyond those that are known the nearest; shape (n, size)."""
+    times = np.clip(times, known[0], known[-1])
     before = np.searchsorted(known, times, side="right") - 1
     found: Matrix = values[before]
     between = np.flatnonzero(known[before] != times)
@@ -498,44 +514,43 @@ def values_at(times: Nanoseconds, known: Nanoseconds, values: Matrix, is_line: b
     return found
 
 
-def _from_lines(
-    values: Matrix, times: Nanoseconds, known: Nanoseconds, rows: Matrix, tube_ns: int
-) -> Matrix:
-    """Return how far values are from the straight lines around their times; on these 0."""
-    ends = [
-        values_at(np.clip(times + by, known[0], known[-1]), known, rows, True)
-        for by in (-tube_ns, tube_ns)
-    ]
-    lower, upper = np.fmin(*ends), np.fmax(*ends)
-    first = np.searchsorted(known, times - tube_ns, side="left")
-    stop = np.searchsorted(known, times + tube_ns, side="right")
-    has_rows = np.flatnonzero(stop > first)
-    if len(has_rows):
-        bounds = np.stack([first[has_rows], stop[has_rows]], axis=1).ravel()
+def _beside(
+    times: Nanoseconds,
+    values: Matrix,
+    span: tuple[Nanoseconds, Nanoseconds],
+    other: TimedRows,
+    is_line: bool,
+) -> tuple[Matrix, Matrix]:
+    """Return the other run at some times, and how far values are from all that it has in spans.
+
+    These begin and end around each time. Lines have all values between their lowest and highest,
+    what is held those of its rows.
+    """
+    known, rows = other
+    own = values_at(times, known, rows, is_line)
+    apart = _distance(values, own)
+    begin, end = span
+    if np.array_equal(begin, end):
+        return own, apart
+    at_begin, at_end = (values_at(at, known, rows, is_line) for at in span)
+    first = np.searchsorted(known, begin, side="left")
+    stop = np.searchsorted(known, end, side="right")
+    if not is_line:
+        apart = np.minimum(apart, _distance(values, at_begin))
+        for number in range(int((stop - first).max())):
+            near = np.flatnonzero(first + number < stop)
+            held = _distance(values[near], rows[first[near] + number])
+            apart[near] = np.minimum(apart[near], held)
+        return own, apart
+    lower, upper = np.fmin(at_begin, at_end), np.fmax(at_begin, at_end)
+    near = np.flatnonzero(stop > first)
+    if len(near):
+        bounds = np.stack([first[near], stop[near]], axis=1).ravel()
         padded = np.concatenate([rows, rows[-1:]])  # reduceat takes no end behind the last row
-        lower[has_rows] = np.fmin(lower[has_rows], np.fmin.reduceat(padded, bounds)[::2])
-        upper[has_rows] = np.fmax(upper[has_rows], np.fmax.reduceat(padded, bounds)[::2])
-    with np.errstate(invalid="ignore"):
-        apart: Matrix = np.fmax(np.fmax(lower - values, values - upper), 0.0)
-    apart[np.isnan(values) | np.isnan(lower)] = np.inf
-    return apart
-
-
-def _from_steps(
-    values: Matrix, times: Nanoseconds, known: Nanoseconds, rows: Matrix, tube_ns: int
-) -> Matrix:
-    """Return how far values are from the nearest that is held around their times."""
-    begin = times - tube_ns
-    first = np.minimum(
-        np.searchsorted(known, begin, side="left"), np.searchsorted(known, begin, side="right") - 1
-    ).clip(0)
-    stop = np.searchsorted(known, times + tube_ns, side="right")
-    apart = np.full(values.shape, np.inf)
-    for number in range(int((stop - first).max())):
-        own = np.flatnonzero(first + number < stop)
-        beside = rows[first[own] + number]
-        apart[own] = np.minimum(apart[own], _distance(values[own], beside))
-    return apart
+        lower[near] = np.fmin(lower[near], np.fmin.reduceat(padded, bounds)[::2])
+        upper[near] = np.fmax(upper[near], np.fmax.reduceat(padded, bounds)[::2])
+    from_lines = _distance(values, np.clip(values, lower, upper))
+    return own, np.where(np.isnan(values), apart, np.minimum(apart, from_lines))
 
 
 # --- events ---

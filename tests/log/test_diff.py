@@ -369,10 +369,28 @@ def test_a_tube_looks_at_all_rows_near_an_instant():
     assert one(a, b, tube=8 * STEP).status == "within"
     assert one(a, b, tube=8 * STEP).largest == 0.0
     assert one(a, b, tube=7.5 * STEP, atol=2.5).status == "within"
-    a = Run({"y": [0.0, 0.4, 1.0]}, [0, 50, 100])
+    a = Run({"y": [0.0, 0.0, 0.4, 1.0, 1.0]}, [0, 49, 50, 51, 100])
     b = Run({"y": [0.0, 0.0, 1.0, 1.0]}, [0, 50, 50, 100])
     assert one(a, b, interpolate=True).largest == pytest.approx(0.6)
-    assert one(a, b, tube=1e-9).status == "within"
+    assert one(a, b, tube=STEP).status == "within"
+    assert one(a, b, tube=0.9 * STEP).status == "outside"
+
+
+def test_a_spike_is_outside_of_a_tube_in_whichever_run_it_is():
+    """At an instant of both, and between two of the other; a step between these is none."""
+    flat, spike = np.zeros(41), np.zeros(41)
+    spike[20] = 1.0
+    for coarse in (flat, flat[::4], flat[::3]):
+        times = np.linspace(0, 40, len(coarse)).round()
+        runs = Run({"y": coarse}, times), Run({"y": spike})
+        for a, b in (runs, runs[::-1]):
+            row = one(a, b, tube=3 * STEP, atol=0.5)
+            assert (row.status, row.largest) == ("outside", 1.0)
+            assert row.first.time_ns == 20 * STEP_NS
+    samples = Run({"y": [0.0, 0.0, 1.0, 1.0]}, [0, 10, 20, 30])
+    step = Run({"y": [0.0, 0.0, 1.0, 1.0]}, [0, 13, 13, 30])
+    assert one(samples, step, tube=STEP).status == "within"
+    assert one(samples, Run({"y": [0.0, 0.0, 1.2, 1.0]}, [0, 13, 13, 30]), tube=STEP).largest > 0.1
 
 
 def test_what_is_no_number_is_right_only_where_both_are_none():
@@ -403,9 +421,7 @@ def test_what_has_nothing_to_compare_is_not_called_equal():
             assert not difference.equal
         point = Run({"y": [0.0]}, [1])
         assert one(point, a, **options).status == "within"
-        assert one(point, Run({"y": [0.0, 1.0]}), **options, atol=0.5).status == (
-            "outside" if "tube" not in options else "within"
-        )
+        assert one(point, Run({"y": [0.0, 1.0]}), **options, atol=0.5).status == "outside"
 
 
 @pytest.mark.parametrize("variability", ["continuous", "discrete"])
@@ -422,23 +438,34 @@ def test_random_runs_agree_with_a_search_instant_by_instant(variability):
         ]
         for tube in (0, *rng.integers(1, 8, size=2).tolist()):
             found = one(*runs, tube=tube * STEP, interpolate=True)
-            largest, count = 0.0, 0
-            for time, value in zip(times_a, values_a, strict=True):
-                if not times_b[0] - tube <= time <= times_b[-1] + tube:
-                    continue
-                count += 1
-                own = [
-                    known_at(end, times_b, values_b, variability)
-                    for end in (time - tube, time + tube)
-                ]
-                if tube:
-                    own += values_b[abs(times_b - time) <= tube].tolist()
-                if variability == "continuous":
-                    largest = max(largest, min(own) - value, value - max(own))
-                else:
-                    largest = max(largest, min(abs(one - value) for one in own))
+            is_near = (times_b[0] - tube <= times_a) & (times_a <= times_b[-1] + tube)
+            largest = 0.0
+            for time, value in zip(times_a[is_near], values_a[is_near], strict=True):
+                near = around(time - tube, time + tube, times_b, values_b, variability)
+                largest = max(largest, apart(value, near, variability))
+            is_within = (times_a[0] <= times_b) & (times_b <= times_a[-1]) & (tube > 0)
+            for time, value in zip(times_b[is_within], values_b[is_within], strict=True):
+                begin = min(time - tube, times_a[times_a <= time].max())
+                end = max(time + tube, times_a[times_a >= time].min())
+                near = around(begin, end, times_a, values_a, variability)
+                largest = max(largest, apart(value, near, variability))
             assert found.largest == pytest.approx(largest, abs=1e-12)
-            assert found.rows == (40, 60, count)
+            assert found.rows == (40, 60, is_near.sum())
+
+
+def apart(value, near, variability):
+    """Return how far a value is from what is held near it, or from the span of a line."""
+    if variability == "discrete":
+        return min(abs(own - value) for own in near)
+    return max(0.0, min(near) - value, value - max(near))
+
+
+def around(begin, end, times, values, variability):
+    """Return the values at both ends, and where there is a span those of the rows in it."""
+    ends = [known_at(time, times, values, variability) for time in (begin, end)]
+    if begin == end:
+        return ends
+    return [*ends, *values[(begin <= times) & (times <= end)]]
 
 
 def known_at(time, times, values, variability):

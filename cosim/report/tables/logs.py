@@ -145,7 +145,8 @@ def _notes(difference: LogDifference) -> Iterator[str]:
     where = "where both have values" if difference.tube is None else "at instants of a within b"
     for row in difference.rows:
         in_a, in_b, both = row.rows
-        if row.status in ("equal", "within", "other times") and both < max(in_a, in_b):
+        expected = in_a if difference.tube else max(in_a, in_b)
+        if row.status in ("equal", "within", "other times") and both < expected:
             yield (
                 f"note: compared only {where}: {row.signal} at {both} instants ({in_a} in a, "
                 f"{in_b} in b)"

@@ -2,31 +2,38 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, TypeAlias, final
+from zipfile import BadZipFile
 
 import numpy as np
 
-from cosim.arrays import Mask, Matrix, Nanoseconds, read_only
-from cosim.blocks.field_data import FieldSignal
+from cosim.arrays import Mask, Matrix, Nanoseconds, Vector, as_columns, read_only
+from cosim.core.port import Port
 from cosim.core.recorded.run import RecordedRun
 from cosim.core.recorded.signals import RunMessage, find_channel
 from cosim.core.recording import SignalEvent, Substep
 from cosim.core.signals import Channel, Interface, Signal
-from cosim.errors import LogError, UsageError, warn
+from cosim.errors import GraphError, LogError, UsageError, warn
 from cosim.files import expanded, file_type
 from cosim.instants import NANOSECONDS
+from cosim.log.conversion import SIGNALS_KEY, TIME_KEY
 from cosim.log.foreign.samples import read_fields
 from cosim.log.foreign.survey import survey
 from cosim.log.foreign.topics import is_foreign
 from cosim.log.reader import open_log
 from cosim.scenario.data_files.field_file import field_data
+from cosim.scenario.data_files.mat_file import OtherVariable, read_variables
+from cosim.scenario.data_files.table import LARGEST, content_of
 
 TABLE: Final = "table"  # the component of columns that name none
 
+_ARRAYS: Final = (".mat", ".npz")  # that 'cosim convert' writes
 _WHOLE: Final = re.compile(r"\[0:\d+\]$")  # of a field that is a vector, all of its elements
 _MOST_SECONDS: Final = 2**63 / NANOSECONDS
 
@@ -37,9 +44,10 @@ def open_recording(path: str | Path) -> RecordedRun:
     Parameters
     ----------
     path : str or Path
-        Of a log of cosim, which is opened as by :func:`cosim.open_log`; of a table (CSV and other
-        text, .parquet, .xlsx, .mat) with a column of times, as :func:`cosim.read_field_data` finds
-        them; or of an MCAP file of another tool. A column ``plant.y`` is signal y of component
+        Of a log of cosim, which is opened as by :func:`cosim.open_log`; of what ``cosim convert``
+        made of one; of a table (CSV and other text, .parquet, .xlsx, .mat) with a column of times,
+        as :func:`cosim.read_field_data` finds them; or of an MCAP file of another tool. Rows of a
+        table at one time are those of a jump. A column ``plant.y`` is signal y of component
         plant, and ``plant.x[0]``, ``plant.x[1]``, ... are elements of one; a column without a
         component belongs to ``table``. Of messages a topic is a component, and its numeric fields
         are signals, at their log times.
@@ -57,6 +65,10 @@ def open_recording(path: str | Path) -> RecordedRun:
     [1.5, 2.0]
     """
     path = expanded(path)
+    if path.suffix.lower() in _ARRAYS:
+        arrays = _arrays(path)
+        if arrays is not None:
+            return arrays
     match file_type(path):
         case "table":
             return _table(path)
@@ -66,11 +78,12 @@ def open_recording(path: str | Path) -> RecordedRun:
             return open_log(path)
 
 
-class _Samples(NamedTuple):
-    """The rows of a component."""
+def is_recording(path: str | Path) -> bool:
+    """Return whether a file is one that :func:`open_recording` opens, by the ending of its name."""
+    return file_type(path) in ("log", "table") or Path(path).suffix.lower() in _ARRAYS
 
-    time_ns: Nanoseconds
-    rows: Matrix
+
+_Component: TypeAlias = tuple[Nanoseconds, Sequence[tuple[Signal, Matrix]]]
 
 
 @final
@@ -81,19 +94,26 @@ class FileRun(RecordedRun):
     ----------
     label : str
         Path of the file.
-    channels : mapping of name to Channel
-    samples : mapping of name to (times, rows)
-        Of every component, in order of time.
+    components : mapping of name to (times, signals and their values)
+        In order of time.
     """
 
-    def __init__(
-        self, label: str, channels: Mapping[str, Channel], samples: Mapping[str, _Samples]
-    ) -> None:
+    def __init__(self, label: str, components: Mapping[str, _Component]) -> None:
         self._label = label
-        self._channels = channels
-        self._samples = samples
-        distances = [np.diff(times).min() for times, _ in samples.values() if len(times) > 1]
-        self._step_ns = int(min(distances, default=NANOSECONDS))
+        self._times: dict[str, Nanoseconds] = {}
+        self._rows: dict[str, Matrix] = {}
+        self._channels: dict[str, Channel] = {}
+        start = 0
+        distances = [NANOSECONDS]
+        for name, (time_ns, own) in components.items():
+            self._times[name] = time_ns
+            self._rows[name] = read_only(np.hstack([values for _, values in own]))
+            interface = Interface((), tuple(signal for signal, _ in own))
+            self._channels[name] = Channel(name, interface, start)
+            start += self._rows[name].shape[1]
+            apart = np.diff(time_ns)
+            distances += apart[apart > 0].tolist()
+        self._step_ns = int(min(distances[1:], default=distances[0]))
 
     @property
     def label(self) -> str:
@@ -153,12 +173,12 @@ class FileRun(RecordedRun):
     @property
     def steps(self) -> int:
         """Number of the last row of the component that has most."""
-        return max((len(times) - 1 for times, _ in self._samples.values()), default=0)
+        return max((len(times) - 1 for times in self._times.values()), default=0)
 
     @property
     def end_ns(self) -> int:
         """The last instant [ns]."""
-        return max((int(times[-1]) for times, _ in self._samples.values()), default=0)
+        return max((int(times[-1]) for times in self._times.values() if len(times)), default=0)
 
     def messages(self) -> list[RunMessage]:
         """Return nothing."""
@@ -175,46 +195,63 @@ class FileRun(RecordedRun):
     def rows(self, component: str) -> Matrix:
         """Return all rows of a component, shape (N, width)."""
         find_channel(self.channels, component, source=self.label)
-        return self._samples[component].rows
+        return self._rows[component]
 
     def time_ns(self, component: str) -> Nanoseconds:
         """Return the instants of a component's rows, shape (N,) [ns]."""
         find_channel(self.channels, component, source=self.label)
-        return self._samples[component].time_ns
+        return self._times[component]
+
+
+def _nanoseconds(label: str, times: Vector) -> Nanoseconds:
+    """Return times in s, in order, as whole ns."""
+    if len(times) and max(abs(times[0]), abs(times[-1])) >= _MOST_SECONDS:
+        raise UsageError(f"{label}: expected times within 292 years of 0, got {times[-1]} s")
+    time_ns = np.array([round(t * NANOSECONDS) for t in times.tolist()], np.int64)
+    if ((np.diff(time_ns) <= 0) & (np.diff(times) != 0.0)).any():
+        raise UsageError(f"{label}: expected times at least 1 ns apart")
+    return time_ns
 
 
 def _table(path: Path) -> FileRun:
     """Read a table; a component has rows where one of its columns has a number."""
-    data = field_data(path)
+    data = field_data(path, jumps=True)
     warn(data.diagnostics)
-    if len(data.t) and max(abs(data.t[0]), abs(data.t[-1])) >= _MOST_SECONDS:
-        raise UsageError(f"{data.source}: expected times within 292 years of 0, got {data.t[-1]} s")
-    time_ns = np.array([round(t * NANOSECONDS) for t in data.t.tolist()], np.int64)
-    if (np.diff(time_ns) <= 0).any():
-        raise UsageError(f"{data.source}: expected times at least 1 ns apart")
-    components: dict[str, list[FieldSignal]] = defaultdict(list)
-    for signal in data.signals:
-        component, dot, _ = signal.name.partition(".")
-        components[component if dot else TABLE].append(signal)
-    channels: dict[str, Channel] = {}
-    samples: dict[str, _Samples] = {}
-    start = 0
+    time_ns = _nanoseconds(data.source, data.t)
+    declared = _declared(path)
+    components: dict[str, list[tuple[Signal, Matrix]]] = defaultdict(list)
+    for found in data.signals:
+        component, dot, name = found.name.partition(".")
+        values = found.values
+        about = declared.get(found.columns[0], {})
+        signal = Signal(
+            name if dot else component, values.shape[1], found.unit, optional=True, **about
+        )
+        components[component if dot else TABLE].append((signal, values))
+    runs: dict[str, _Component] = {}
     for name, own in components.items():
-        signals = [
-            Signal(
-                signal.name.removeprefix(f"{name}."),
-                signal.values.shape[1],
-                unit=signal.unit,
-                optional=True,
-            )
-            for signal in own
-        ]
-        rows = np.hstack([signal.values for signal in own])
-        is_measured = ~np.isnan(rows).all(axis=1)
-        channels[name] = Channel(name, Interface((), tuple(signals)), start)
-        samples[name] = _Samples(time_ns[is_measured], read_only(rows[is_measured]))
-        start += rows.shape[1]
-    return FileRun(str(path), channels, samples)
+        there = ~np.isnan(np.hstack([values for _, values in own])).all(axis=1)
+        runs[name] = time_ns[there], [(signal, values[there]) for signal, values in own]
+    return FileRun(str(path), runs)
+
+
+def _declared(path: Path) -> dict[str, dict[str, Any]]:
+    """Return what the columns are, as 'cosim convert' writes it beside them in Parquet."""
+    if path.suffix.lower() != ".parquet":
+        return {}
+    from pyarrow.parquet import read_schema
+
+    about = {}
+    for field in read_schema(path):
+        given = {key.decode(): text.decode() for key, text in (field.metadata or {}).items()}
+        about[field.name] = _known(given)
+    return about
+
+
+def _known(about: Mapping[str, str]) -> dict[str, Any]:
+    """Return what of a written signal says how it is between two rows."""
+    choices = {"variability": ("continuous", "discrete"), "type": ("real", "integer", "boolean")}
+    return {key: about[key] for key, known in choices.items() if about.get(key) in known}
 
 
 def _messages(path: Path) -> FileRun:
@@ -226,24 +263,85 @@ def _messages(path: Path) -> FileRun:
     if not names:
         raise LogError(f"{path}: expected messages with numeric fields, got none")
     found = dict(zip(names, read_fields(path, names), strict=True))
-    channels: dict[str, Channel] = {}
-    samples: dict[str, _Samples] = {}
-    start = 0
+    components: dict[str, _Component] = {}
     for topic, fields in topics.items():
         if not fields:
             continue
-        own = [found[field] for field in fields]
-        rows = np.hstack([each.values for each in own])
-        signals = [
-            Signal(
-                _WHOLE.sub("", each.field.removeprefix(f"{topic}.")),
-                each.values.shape[1],
-                variability="discrete" if each.is_discrete else "continuous",
-                optional=True,
-            )
-            for each in own
-        ]
-        channels[topic] = Channel(topic, Interface((), tuple(signals)), start)
-        samples[topic] = _Samples(own[0].time_ns, read_only(rows))
-        start += rows.shape[1]
-    return FileRun(str(path), channels, samples)
+        own = []
+        for each in (found[field] for field in fields):
+            name = _WHOLE.sub("", each.field.removeprefix(f"{topic}."))
+            about = _known({"variability": "discrete"} if each.is_discrete else {})
+            signal = Signal(name, each.values.shape[1], optional=True, **about)
+            own.append((signal, each.values))
+        components[topic] = found[next(iter(fields))].time_ns, own
+    return FileRun(str(path), components)
+
+
+# --- what 'cosim convert' wrote ---
+
+# what a file leads to that is no such archive, or damaged
+_UNREADABLE: Final = (
+    ValueError,
+    KeyError,
+    TypeError,
+    AttributeError,
+    EOFError,
+    OSError,
+    OverflowError,
+    BadZipFile,
+)
+
+
+def _arrays(path: Path) -> FileRun | None:
+    """Read arrays as 'cosim convert' writes them; None: they are others."""
+    label = f"file {str(path)!r}"
+    content = content_of(path)
+    try:
+        if path.suffix.lower() == ".mat":
+            variables = read_variables(label, content)
+            signals = variables.get(SIGNALS_KEY)
+            if not isinstance(signals, OtherVariable) or not signals.entries:
+                return None
+            entries = [
+                (own, variables[own["variable"]], variables[own["time"]]) for own in signals.entries
+            ]
+        else:
+            with np.load(BytesIO(content), allow_pickle=False) as archive:
+                if sum(entry.file_size for entry in archive.zip.infolist()) > LARGEST:
+                    raise ValueError(f"more than {LARGEST} bytes")
+                about = json.loads(str(archive[SIGNALS_KEY]))
+                entries = []
+                for name, own in about.items():
+                    times = archive[f"{TIME_KEY}{Port.parse(name).component}"]
+                    entries.append(({**own, "name": name}, archive[name], times))
+        return _of_arrays(label, str(path), entries)
+    except (*_UNREADABLE, GraphError) as error:
+        raise UsageError(
+            f"{label}: expected arrays as 'cosim convert' writes them: {error}"
+        ) from error
+
+
+def _of_arrays(
+    label: str, path: str, entries: Iterable[tuple[Mapping[str, str], Any, Any]]
+) -> FileRun:
+    components: dict[str, tuple[Nanoseconds, list[tuple[Signal, Matrix]]]] = {}
+    for about, written, times in entries:
+        port = Port.parse(about["name"])
+        values = as_columns(np.asarray(written, np.float64))
+        unit = about.get("unit") or None
+        units = tuple((unit or "").split(", "))
+        name = about["name"].removeprefix(f"{port.component}.")
+        signal = Signal(
+            name,
+            values.shape[1],
+            units if len(units) == values.shape[1] > 1 else unit,
+            optional=True,
+            **_known(about),
+        )
+        if port.component not in components:
+            components[port.component] = (_nanoseconds(label, np.ravel(times)), [])
+        time_ns, own = components[port.component]
+        if len(values) != len(time_ns):
+            raise ValueError(f"{len(values)} values of {port} at {len(time_ns)} times")
+        own.append((signal, values))
+    return FileRun(path, components)
