@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cosim.core.recorded.partial import PartialChannels, PartialRecord, RecordSelection
 from cosim.core.recorded.run import blocks_within
 from cosim.core.recording import SignalEvent
 from cosim.core.signals import Channel, Interface, Layout, Signal
@@ -113,6 +115,7 @@ def test_tolerances_are_absolute_plus_relative_to_the_signals_scale(subtests):
         (np.nan, 1.0, {"atol": 1.0}, "outside", np.inf),
         (np.inf, np.inf, {"atol": 1.0}, "equal", 0.0),
         (np.inf, 1.0, {"rtol": 1.0}, "outside", np.inf),
+        (np.nan, 1.0, {"rtol": 1.7e308}, "outside", np.inf),  # of a tolerance that is infinite
         (1.0, 1.5, {"atol": 0.5}, "within", 0.5),
         (1.0, 1.5, {"atol": 0.49}, "outside", 0.5),
         (1.0, 1.5, {"rtol": 0.125}, "within", 0.5),
@@ -125,6 +128,9 @@ def test_tolerances_are_absolute_plus_relative_to_the_signals_scale(subtests):
             assert row.ratio == largest / 4
             assert (row.first is not None) == (status == "outside")
     assert one(Run({"y": [0.0]}), Run({"y": [1.0]})).ratio == np.inf
+    # that comes in a later block
+    runs = [Run({"y": [y, y, 4.0, 4.0]}, cuts=[2]) for y in (1.0, 1.5)]
+    assert one(*runs, rtol=0.125).status == "within"
 
 
 def test_a_signal_has_its_own_tolerance_in_the_place_of_that_of_all(pair):
@@ -305,6 +311,35 @@ def test_windows_pair_what_stands_at_the_same_instant(a, b):
         assert found.first == ElementDifference("c.y", time * STEP_NS, in_a, in_b + 0.5)
 
 
+def test_rows_that_a_partial_run_does_not_have_are_no_difference():
+    """Nor are signals, unless one of them is asked for, or nothing else is there."""
+    whole = Run({"y": np.arange(5.0), "z": np.zeros(5)})
+    thin = Run({"y": [0.0, 2.0, 4.0]}, [0, 2, 4])
+    record = PartialRecord(RecordSelection(("c.y",), 2), whole.channels)
+    thin.channels = PartialChannels({"c": replace(thin.channels["c"], period=2)}, record)
+    for runs, left_out, rows in (
+        ((whole, thin), "not recorded in b", (5, 3, 3)),
+        ((thin, whole), "not recorded in a", (3, 5, 3)),
+    ):
+        difference = diff(*runs)
+        assert difference.equal
+        assert {row.signal: row.status for row in difference.rows} == {
+            "c.y": "equal",
+            "c.z": left_out,
+        }
+        assert difference.rows[0].rows == rows
+        assert diff(*runs, signals=["c.*"]).equal
+        with pytest.raises(UnknownSignalError, match="the log is partial"):
+            diff(*runs, signals=["c.z"])
+        with pytest.raises(LogError, match="no recorded signal in common"):
+            diff(*runs, signals=["*.z"])
+    late = Run({"y": [4.0]}, [6])
+    late.channels = thin.channels
+    assert one(thin, late).status == "other times"
+    longer = Run({"y": [0.0, 2.0, 4.0, 6.0]}, [0, 2, 4, 6])
+    assert one(longer, Run({"y": [0.0, 2.0, 4.0]}, [0, 2, 4])).status == "other times"
+
+
 # --- between instants ---
 
 
@@ -387,6 +422,11 @@ def test_a_spike_is_outside_of_a_tube_in_whichever_run_it_is():
             row = one(a, b, tube=3 * STEP, atol=0.5)
             assert (row.status, row.largest) == ("outside", 1.0)
             assert row.first.time_ns == 20 * STEP_NS
+    late = flat.copy()
+    late[36] = 1.0
+    for runs in ((late, spike), (spike, late)):
+        a, b = (Run({"y": own}) for own in runs)
+        assert one(a, b, tube=3 * STEP).first.time_ns == 20 * STEP_NS  # the first of both
     samples = Run({"y": [0.0, 0.0, 1.0, 1.0]}, [0, 10, 20, 30])
     step = Run({"y": [0.0, 0.0, 1.0, 1.0]}, [0, 13, 13, 30])
     assert one(samples, step, tube=STEP).status == "within"
@@ -395,12 +435,14 @@ def test_a_spike_is_outside_of_a_tube_in_whichever_run_it_is():
 
 def test_what_is_no_number_is_right_only_where_both_are_none():
     """NaN and infinity are not interpolated away; NaN that says "no value" is no row."""
-    a = Run({"y": [0.0, np.nan, np.inf, 1.0]})
     b = Run({"y": [0.0, 0.0, 0.0, 1.0]})
-    for options in ({"interpolate": True}, {"tube": STEP}):
-        assert one(a, a, **options).status == "equal"
-        assert one(a, b, **options, atol=1e9).status == "outside"
-        assert one(b, a, interpolate=True, atol=1e9).status == "outside"
+    for value in (np.nan, np.inf):
+        a = Run({"y": [0.0, value, 0.0, 1.0]})
+        for options in ({"interpolate": True}, {"tube": STEP / 2}):
+            assert one(a, a, **options).status == "equal"
+            assert one(a, b, **options, atol=1e9).status == "outside"
+            assert one(b, a, **options, atol=1e9).status == "outside"
+            assert one(a, Run({"y": [0.0, 1.0]}, [0, 3]), **options, atol=1e9).status == "outside"
     gaps = Run({"y": [0.0, np.nan, 2.0, np.nan, np.nan]}, optional=True)
     line = Run({"y": [0.0, 1.0, 2.0, 3.0]}, optional=True)
     row = one(gaps, line, interpolate=True)
@@ -430,7 +472,7 @@ def test_random_runs_agree_with_a_search_instant_by_instant(variability):
     rng = np.random.default_rng(3)
     for _ in range(20):
         times_a = np.sort(rng.choice(200, 40, replace=False))
-        times_b = np.sort(rng.choice(np.arange(-5, 210), 60, replace=True))
+        times_b = np.sort(rng.choice(np.arange(-5, 210, 3), 60, replace=True))
         values_a, values_b = rng.normal(size=40), rng.normal(size=60)
         runs = [
             Run({"y": values}, times, variability=variability)
@@ -524,6 +566,9 @@ def test_another_event_is_a_difference_that_is_named(subtests):
             assert difference.events.first == ElementEventDifference(signal, time, *expected)
             assert as_json["events"]["first"]["signal"] == signal
     assert not events_of([override((), cause="set", signal="c")], []).equal
+    # the left limit of what jumps by itself, and where something led to at the same instant
+    later = override((0.5, 0.25))
+    assert events_of([override((0.1, 0.1), cause="jump"), later], [later]).events.outside == 2
 
 
 def test_events_of_compared_elements_have_the_tolerance_of_their_signals():
@@ -534,6 +579,9 @@ def test_events_of_compared_elements_have_the_tolerance_of_their_signals():
     assert not difference.events.equal
     difference = events_of(a, [override((0.5, 0.75))], rtol=0.1)
     assert difference.events.outside == 1
+    zeros = [[override((zero, 0.25))] for zero in (0.0, -0.0)]
+    assert not events_of(*zeros).within
+    assert events_of(*zeros, atol=1e-300).within
     assert events_of(a, b, signals=["c.y"]).equal
     assert events_of(a, b, signals=["c.u[0]"]).equal
     assert not events_of(a, b, signals=["c.u[1]"]).equal
