@@ -5,11 +5,10 @@ from __future__ import annotations
 import json
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Final, TypeAlias, final
-from zipfile import BadZipFile
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from cosim.core.recorded.run import RecordedRun
 from cosim.core.recorded.signals import RunMessage, find_channel
 from cosim.core.recording import SignalEvent, Substep
 from cosim.core.signals import Channel, Interface, Signal
-from cosim.errors import GraphError, LogError, UsageError, warn
+from cosim.errors import LogError, UsageError, warn
 from cosim.files import expanded, file_type
 from cosim.instants import NANOSECONDS
 from cosim.log.conversion import SIGNALS_KEY, TIME_KEY
@@ -35,6 +34,10 @@ TABLE: Final = "table"  # the component of columns that name none
 
 _ARRAYS: Final = (".mat", ".npz")  # that 'cosim convert' writes
 _WHOLE: Final = re.compile(r"\[0:\d+\]$")  # of a field that is a vector, all of its elements
+_BETWEEN_ROWS: Final = {
+    "variability": ("continuous", "discrete"),
+    "type": ("real", "integer", "boolean"),
+}
 _MOST_SECONDS: Final = 2**63 / NANOSECONDS
 
 
@@ -83,7 +86,7 @@ def is_recording(path: str | Path) -> bool:
     return file_type(path) in ("log", "table") or Path(path).suffix.lower() in _ARRAYS
 
 
-_Component: TypeAlias = tuple[Nanoseconds, Sequence[tuple[Signal, Matrix]]]
+_ComponentSamples: TypeAlias = tuple[Nanoseconds, Sequence[tuple[Signal, Matrix]]]
 
 
 @final
@@ -98,13 +101,13 @@ class FileRun(RecordedRun):
         In order of time.
     """
 
-    def __init__(self, label: str, components: Mapping[str, _Component]) -> None:
+    def __init__(self, label: str, components: Mapping[str, _ComponentSamples]) -> None:
         self._label = label
         self._times: dict[str, Nanoseconds] = {}
         self._rows: dict[str, Matrix] = {}
         self._channels: dict[str, Channel] = {}
         start = 0
-        distances = [NANOSECONDS]
+        distances = []
         for name, (time_ns, own) in components.items():
             self._times[name] = time_ns
             self._rows[name] = read_only(np.hstack([values for _, values in own]))
@@ -112,8 +115,8 @@ class FileRun(RecordedRun):
             self._channels[name] = Channel(name, interface, start)
             start += self._rows[name].shape[1]
             apart = np.diff(time_ns)
-            distances += apart[apart > 0].tolist()
-        self._step_ns = int(min(distances[1:], default=distances[0]))
+            distances += [int(apart[apart > 0].min())] if (apart > 0).any() else []
+        self._step_ns = min(distances, default=NANOSECONDS)
 
     @property
     def label(self) -> str:
@@ -228,7 +231,7 @@ def _table(path: Path) -> FileRun:
             name if dot else component, values.shape[1], found.unit, optional=True, **about
         )
         components[component if dot else TABLE].append((signal, values))
-    runs: dict[str, _Component] = {}
+    runs: dict[str, _ComponentSamples] = {}
     for name, own in components.items():
         there = ~np.isnan(np.hstack([values for _, values in own])).all(axis=1)
         runs[name] = time_ns[there], [(signal, values[there]) for signal, values in own]
@@ -243,15 +246,14 @@ def _declared(path: Path) -> dict[str, dict[str, Any]]:
 
     about = {}
     for field in read_schema(path):
-        given = {key.decode(): text.decode() for key, text in (field.metadata or {}).items()}
-        about[field.name] = _known(given)
+        written = {key: (field.metadata or {}).get(key.encode(), b"") for key in _BETWEEN_ROWS}
+        about[field.name] = _known({k: v.decode("utf-8", "replace") for k, v in written.items()})
     return about
 
 
 def _known(about: Mapping[str, str]) -> dict[str, Any]:
     """Return what of a written signal says how it is between two rows."""
-    choices = {"variability": ("continuous", "discrete"), "type": ("real", "integer", "boolean")}
-    return {key: about[key] for key, known in choices.items() if about.get(key) in known}
+    return {key: about[key] for key, known in _BETWEEN_ROWS.items() if about.get(key) in known}
 
 
 def _messages(path: Path) -> FileRun:
@@ -263,7 +265,7 @@ def _messages(path: Path) -> FileRun:
     if not names:
         raise LogError(f"{path}: expected messages with numeric fields, got none")
     found = dict(zip(names, read_fields(path, names), strict=True))
-    components: dict[str, _Component] = {}
+    components: dict[str, _ComponentSamples] = {}
     for topic, fields in topics.items():
         if not fields:
             continue
@@ -279,69 +281,51 @@ def _messages(path: Path) -> FileRun:
 
 # --- what 'cosim convert' wrote ---
 
-# what a file leads to that is no such archive, or damaged
-_UNREADABLE: Final = (
-    ValueError,
-    KeyError,
-    TypeError,
-    AttributeError,
-    EOFError,
-    OSError,
-    OverflowError,
-    BadZipFile,
-)
+# what is said of a signal, its values and their times
+_WrittenArray: TypeAlias = tuple[Mapping[str, str], Any, Any]
+
+
+def _npz_arrays(content: bytes) -> Iterator[_WrittenArray]:
+    with np.load(BytesIO(content), allow_pickle=False) as archive:
+        if sum(entry.file_size for entry in archive.zip.infolist()) > LARGEST:
+            raise ValueError(f"more than {LARGEST} bytes")
+        for name, about in json.loads(str(archive[SIGNALS_KEY])).items():
+            times = archive[f"{TIME_KEY}{Port.parse(name).component}"]
+            yield {**about, "name": name}, archive[name], times
 
 
 def _arrays(path: Path) -> FileRun | None:
     """Read arrays as 'cosim convert' writes them; None: they are others."""
     label = f"file {str(path)!r}"
     content = content_of(path)
-    try:
-        if path.suffix.lower() == ".mat":
-            variables = read_variables(label, content)
-            signals = variables.get(SIGNALS_KEY)
-            if not isinstance(signals, OtherVariable) or not signals.entries:
-                return None
-            entries = [
-                (own, variables[own["variable"]], variables[own["time"]]) for own in signals.entries
-            ]
-        else:
-            with np.load(BytesIO(content), allow_pickle=False) as archive:
-                if sum(entry.file_size for entry in archive.zip.infolist()) > LARGEST:
-                    raise ValueError(f"more than {LARGEST} bytes")
-                about = json.loads(str(archive[SIGNALS_KEY]))
-                entries = []
-                for name, own in about.items():
-                    times = archive[f"{TIME_KEY}{Port.parse(name).component}"]
-                    entries.append(({**own, "name": name}, archive[name], times))
-        return _of_arrays(label, str(path), entries)
-    except (*_UNREADABLE, GraphError) as error:
-        raise UsageError(
-            f"{label}: expected arrays as 'cosim convert' writes them: {error}"
-        ) from error
-
-
-def _of_arrays(
-    label: str, path: str, entries: Iterable[tuple[Mapping[str, str], Any, Any]]
-) -> FileRun:
+    arrays: Iterable[_WrittenArray]
+    if path.suffix.lower() == ".npz":
+        arrays = _npz_arrays(content)
+    else:
+        found = read_variables(label, content)
+        signals = found.get(SIGNALS_KEY)
+        if not isinstance(signals, OtherVariable) or not signals.entries:
+            return None
+        arrays = ((own, found[own["variable"]], found[own["time"]]) for own in signals.entries)
     components: dict[str, tuple[Nanoseconds, list[tuple[Signal, Matrix]]]] = {}
-    for about, written, times in entries:
-        port = Port.parse(about["name"])
-        values = as_columns(np.asarray(written, np.float64))
-        unit = about.get("unit") or None
-        units = tuple((unit or "").split(", "))
-        name = about["name"].removeprefix(f"{port.component}.")
-        signal = Signal(
-            name,
-            values.shape[1],
-            units if len(units) == values.shape[1] > 1 else unit,
-            optional=True,
-            **_known(about),
-        )
-        if port.component not in components:
-            components[port.component] = (_nanoseconds(label, np.ravel(times)), [])
-        time_ns, own = components[port.component]
-        if len(values) != len(time_ns):
-            raise ValueError(f"{len(values)} values of {port} at {len(time_ns)} times")
-        own.append((signal, values))
-    return FileRun(path, components)
+    try:
+        for about, written, times in arrays:
+            component = Port.parse(about["name"]).component
+            values = as_columns(np.asarray(written, np.float64))
+            size = values.shape[1]
+            units = (about.get("unit") or "").split(", ")
+            unit = tuple(units) if len(units) == size > 1 else about.get("unit") or None
+            name = about["name"].removeprefix(f"{component}.")
+            signal = Signal(name, size, unit, optional=True, **_known(about))
+            if component not in components:
+                components[component] = (_nanoseconds(label, np.ravel(times)), [])
+            time_ns, own = components[component]
+            if len(values) != len(time_ns):
+                raise ValueError(f"{len(values)} values of {name!r} at {len(time_ns)} times")
+            own.append((signal, values))
+        return FileRun(str(path), components)
+    except UsageError:
+        raise
+    except Exception as error:  # zipfile and numpy raise whatever a damaged byte leads to
+        problem = f"expected arrays as 'cosim convert' writes them: {error}"
+        raise UsageError(f"{label}: {problem}") from error
