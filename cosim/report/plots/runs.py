@@ -34,7 +34,6 @@ from cosim.report.plots.picture import (
 )
 from cosim.report.recorded_rows import (
     beside_truth,
-    difference,
     has_signal,
     recorded_port,
     rows_of,
@@ -175,13 +174,6 @@ def _empty_curves(recording: Recording, port: str) -> list[Curve]:
     held = found.signal.variability == "discrete"
     elements = zip(names, found.measures, strict=True)
     return [Curve(name, unit, np.empty(0), np.empty(0), held) for name, unit in elements]
-
-
-def difference_curves(first: Recording, other: Recording, port: str) -> list[Curve]:
-    """Return ``other - first`` of each element of a port, at the instants that they share."""
-    times, values = difference(first, other, port)
-    pairs = zip(curves_of(first, port), values.T, strict=True)
-    return [replace(curve, times=times, values=column) for curve, column in pairs]
 
 
 def estimate_curves(recording: Recording, estimate: str) -> list[Curve]:
@@ -544,8 +536,9 @@ def plot_comparison(comparison: Comparison | EstimatorComparison, out: Path) -> 
         for run in with_it:
             estimates += curves_of(recordings[run], estimate, run=run)
             if runs[0] in with_it and run != runs[0]:
-                curves = difference_curves(recordings[runs[0]], recordings[run], estimate)
-                apart += [replace(curve, run=run) for curve in curves]
+                first = curves_of(recordings[runs[0]], estimate)
+                for one, two in zip(first, curves_of(recordings[run], estimate), strict=True):
+                    apart.append(replace(_apart(one, two, interpolated=False), run=run))
         for panel, drawn in ((left, estimates), (right, apart)):
             if drawn:
                 draw_curves(panel, drawn, runs)
