@@ -9,9 +9,10 @@ agrees where ``|a - b| <= atol + rtol * max|a|``, the maximum over all the signa
 elements, or where both are NaN. Values of b are converted to the unit of a.
 
 Runs of different instants are compared at those of a. Between two rows of b a continuous signal is
-a straight line, and any other keeps its value; where a signal jumps, its later value counts. NaN of
-a signal that may have no value is no row of it. In a tube a value of a is right if b has it, within
-the tolerance, at some instant no farther away than the tube is wide, and so is one of b.
+a straight line, and any other keeps its value; where b jumps, its later value counts, but for the
+earlier one of a that jumps there, too. NaN of a signal that may have no value is no row of it. In a
+tube a value of a is right if b has it, within the tolerance, at some instant no farther away than
+the tube is wide, and so is one of b.
 """
 
 from __future__ import annotations
@@ -500,9 +501,15 @@ def is_straight(port: RecordedPort) -> bool:
 
 
 def values_at(times: Nanoseconds, known: Nanoseconds, values: Matrix, is_line: bool) -> Matrix:
-    """Return values at times, beyond those that are known the nearest; shape (n, size)."""
+    """Return values at times, beyond those that are known the nearest; shape (n, size).
+
+    At a jump it is the later value, but the earlier one for times that come again.
+    """
+    comes_again = np.append(times[1:] == times[:-1], False)
     times = np.clip(times, known[0], known[-1])
     before = np.searchsorted(known, times, side="right") - 1
+    earlier = np.searchsorted(known, times, side="left")
+    before = np.where(comes_again & (known[earlier] == times), earlier, before)
     found: Matrix = values[before]
     between = np.flatnonzero(known[before] != times)
     if is_line and len(between):

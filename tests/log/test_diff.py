@@ -356,6 +356,11 @@ def test_a_straight_line_is_itself_at_any_instants():
     whole = Run({"y": [0.0, 300.0]}, [0, 100])
     assert one(a, whole, atol=1e-9, interpolate=True).status == "within"
     assert one(a, Run({"y": [0.0, 301.0]}, [0, 100]), atol=0.5, interpolate=True).largest == 1.0
+    jump = Run({"y": [0.0, 0.0, 1.0, 1.0]}, [0, 5, 5, 9])
+    assert one(jump, jump, interpolate=True).status == "equal"
+    assert (
+        one(jump, Run({"y": [0.0, 0.5, 1.0, 1.0]}, [0, 5, 5, 9]), interpolate=True).largest == 0.5
+    )
     # what b does between two instants of a is not seen, but counted, and never called equal
     row = one(Run({"y": [0.0, 0.0]}, [0, 2]), Run({"y": [0.0, 9.0, 0.0]}), interpolate=True)
     assert (row.status, row.rows) == ("within", (2, 3, 2))
