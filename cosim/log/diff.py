@@ -503,13 +503,14 @@ def is_straight(port: RecordedPort) -> bool:
 def values_at(times: Nanoseconds, known: Nanoseconds, values: Matrix, is_line: bool) -> Matrix:
     """Return values at times, beyond those that are known the nearest; shape (n, size).
 
-    At a jump it is the later value, but the earlier one for times that come again.
+    At a jump it is the last value, but for times that come again those before it, in their order.
     """
+    number = np.arange(len(times)) - np.searchsorted(times, times)
     comes_again = np.append(times[1:] == times[:-1], False)
     times = np.clip(times, known[0], known[-1])
     before = np.searchsorted(known, times, side="right") - 1
-    earlier = np.searchsorted(known, times, side="left")
-    before = np.where(comes_again & (known[earlier] == times), earlier, before)
+    earlier = np.searchsorted(known, times, side="left") + number
+    before = np.where(comes_again, np.minimum(earlier, before), before)
     found: Matrix = values[before]
     between = np.flatnonzero(known[before] != times)
     if is_line and len(between):
