@@ -155,7 +155,6 @@ ROOMS = {
         "conversion",
         "following",
         "difference",
-        "signal_comparison",
         "diff",
         "background",
         "store",

@@ -11,7 +11,6 @@ import cosim
 from cosim.cli.command import Given, command
 from cosim.cli.options import check_plot, live_server, shared
 from cosim.errors import CosimError, UsageError
-from cosim.files import file_type
 from cosim.options import Rule
 from cosim.report.printable import print_notice, print_text, printable
 from cosim.terminal import ended_by_interrupt
@@ -130,9 +129,10 @@ def plot(given: Given) -> None:
     """Plot signals of one or several logs over time."""
     from cosim.report.plots.picture import PictureOptions
     from cosim.report.plots.runs import plot_run, plot_signals
+    from cosim.scenario.data_files.recording_file import is_recording
 
     options = PictureOptions(given.size, given.from_, given.to, given.title)
-    is_file = [file_type(source) in ("log", "table") for source in given.sources]
+    is_file = list(map(is_recording, given.sources))
     logs = [cosim.open_recording(source) for source in compress(given.sources, is_file)]
     signals = [source for source, is_log in zip(given.sources, is_file, strict=True) if not is_log]
     if not logs:
@@ -201,11 +201,14 @@ def play(given: Given) -> None:
         "--tol SIGNAL=VALUE : numbers": "Absolute tolerance of the signals that match a pattern, "
         "instead of --atol and --rtol: '*.delta=1e-3'. If several patterns match, the last one "
         "counts. Repeatable.",
+        "--map SIGNAL=NAME : pairs": "Compare a signal of A with one of another name in B: "
+        "table.level=tank.y. Repeatable.",
         "--interpolate": "Compare at all instants of A that lie within B: between its rows a "
         "continuous signal of B is a straight line, any other keeps its value. Events are not "
         "compared.",
         "--tube WIDTH[,PERCENT] : tube": "A value of A is right if B has it at some instant no "
-        "farther away, within a part of the largest value: 0.02s,0.5%. Implies --interpolate.",
+        "farther away, within a part of the largest value, and one of B if A has it: 0.02s,0.5%. "
+        "Implies --interpolate.",
         "--plot FILE : Path": "Plot the signal that differs most.",
         **shared("json"),
     },
@@ -228,7 +231,7 @@ def diff(given: Given) -> bool:
         rtol=part if given.rtol is None else given.rtol,
         interpolate=given.interpolate or given.tube is not None,
         tube=width,
-        **given.only("atol tol"),
+        **given.only("atol tol map"),
     )
     given.print_shown(show_difference(difference))
     if given.plot is not None and difference.worst is None:

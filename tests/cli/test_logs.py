@@ -14,6 +14,7 @@ from mcap.reader import make_reader
 import cosim
 from cosim.log import McapRecorder
 from tests.log.crafting import change_rows, put_together, take_apart
+from tests.log.foreign_files import write_json
 from tests.log.recordings import blocks, layout, plan, record, table
 
 # --- what they contain ---
@@ -99,6 +100,34 @@ def test_runs_of_other_instants_are_compared_between_them(call, tmp_path):
         assert repr(tube) in err
     err = call("diff", "a.mcap", "c.mcap", "--tube", "0.05s", "--rtol", "0.1")[2]
     assert "--tube brings its own relative tolerance; omit it or --rtol" in err
+
+
+@pytest.mark.usefixtures("files")
+@pytest.mark.parametrize("name", ["r.csv", "r.parquet", "r.mat", "r.npz", "r.mcap"])
+def test_recordings_of_any_kind_are_read_like_logs(call, tmp_path, name):
+    """By each of these commands; a signal of another name is the one that a map says."""
+    write_json(tmp_path / "r.mcap", {"/r": [(k * 10**7, {"y": k / 100}) for k in range(11)]})
+    if name != "r.mcap":
+        assert call("convert", "r.mcap", name) == (0, f"{name}\n", "")
+        code, out, _ = call("diff", "r.mcap", name)
+        assert (code, out.splitlines()[1]) == (0, "/r.y\tequal\t0\t0.1\t0")
+    assert call("metrics", name, "last('/r.y')")[1] == "last('/r.y')\t0.1\n"
+    assert call("cat", name)[1].splitlines()[:3] == ["t [s],/r.y", "0.0,0.0", "0.01,0.01"]
+    for command in (f"plot {name} /r.y --out p.svg", f"convert {name} c.csv"):
+        assert call(*command.split())[0] == 0
+    (tmp_path / "m.csv").write_text("t,level [mm]\n0,0\n0.1,0.1\n")
+    assert "note: no signal of a has the name of one of b" in call("diff", "m.csv", name)[1]
+    mapped = ("diff", "m.csv", name, "--map", "table.level=/r.y", "--interpolate")
+    assert call(*mapped)[0] == 0
+    (tmp_path / "m.csv").write_text("t,level [mm]\n0,0\n0.05,0.07\n0.1,0.1\n")
+    code, out, _ = call(*mapped, "--plot", "d.svg")
+    assert (code, out.splitlines()[-1]) == (1, "d.svg")
+    assert "table.level at 0.05 s: 0.07, 0.05" in out
+    code, out, _ = call(*mapped, "--atol", "0.03")
+    note = (
+        "note: compared only at instants of a within b: table.level at 3 instants (3 in a, 11 in b)"
+    )
+    assert (code, out.splitlines()[-1]) == (0, note)
 
 
 # --- the hash of what they contain ---

@@ -228,11 +228,12 @@ def draw(tmp_path, rows, out, monkeypatch):
     return draw
 
 
-def test_both_curves_and_their_difference_are_drawn(rows, draw):
+@pytest.mark.parametrize("interpolate", [False, True])
+def test_both_curves_and_their_difference_are_drawn(rows, draw, interpolate):
     """Of the element that is farthest apart, by the names of the runs, with the tolerance."""
     changed = rows.copy()
     changed[40:, 2] += 0.5
-    first, second, apart, shown = draw(changed, tol={"plant.*": 0.1})
+    first, second, apart, shown = draw(changed, tol={"plant.*": 0.1}, interpolate=interpolate)
     assert np.array_equal(first.get_ydata(), rows[:, 2])
     assert np.array_equal(second.get_ydata(), changed[:, 2])
     assert np.array_equal(apart.get_ydata(), changed[:, 2] - rows[:, 2])

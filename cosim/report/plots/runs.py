@@ -34,7 +34,6 @@ from cosim.report.plots.picture import (
 )
 from cosim.report.recorded_rows import (
     beside_truth,
-    difference,
     has_signal,
     recorded_port,
     rows_of,
@@ -175,13 +174,6 @@ def _empty_curves(recording: Recording, port: str) -> list[Curve]:
     held = found.signal.variability == "discrete"
     elements = zip(names, found.measures, strict=True)
     return [Curve(name, unit, np.empty(0), np.empty(0), held) for name, unit in elements]
-
-
-def difference_curves(first: Recording, other: Recording, port: str) -> list[Curve]:
-    """Return ``other - first`` of each element of a port, at the instants that they share."""
-    times, values = difference(first, other, port)
-    pairs = zip(curves_of(first, port), values.T, strict=True)
-    return [replace(curve, times=times, values=column) for curve, column in pairs]
 
 
 def estimate_curves(recording: Recording, estimate: str) -> list[Curve]:
@@ -456,8 +448,8 @@ def plot_run(recording: Recording, out: Path, options: PictureOptions = STANDARD
 def plot_difference(comparison: LogDifference, runs: Sequence[Recording], out: Path) -> None:
     """Draw the worst signal of a comparison: the element in which both are farthest apart.
 
-    Above both curves, below ``b - a`` at the instants that they share, with the tolerance where
-    there is one, and a line at the first time outside it.
+    Above both curves, below ``b - a`` at the instants that they share, or at those of a where b was
+    interpolated, with the tolerance where there is one, and a line at the first time outside it.
 
     Raises
     ------
@@ -468,18 +460,23 @@ def plot_difference(comparison: LogDifference, runs: Sequence[Recording], out: P
     need_plot(out)
     worst = comparison.worst
     assert worst is not None
+    names = (worst.signal, comparison.map.get(worst.signal, worst.signal))
+    labels = _short_labels(runs)
+    own, other = (
+        curves_of(*each[:2], run=each[2]) for each in zip(runs, names, labels, strict=True)
+    )
+    pairs = [(one, two.in_unit_of(one)) for one, two in zip(own, other, strict=True)]
     with np.errstate(invalid="ignore"):  # infinity minus itself
-        curves = difference_curves(runs[0], runs[1], worst.signal)
-    apart = max(curves, key=lambda one: np.nan_to_num(np.abs(one.values), nan=0.0).max(initial=0.0))
+        curves = [_apart(*pair, interpolated=comparison.tube is not None) for pair in pairs]
+    largest = [np.nan_to_num(np.abs(one.values), nan=0.0).max(initial=0.0) for one in curves]
+    number = int(np.argmax(largest))
     if worst.first is not None and not np.isfinite(worst.largest):  # where only one is a number
-        apart = next(curve for curve in curves if curve.name == worst.first.signal)
+        number = [curve.name for curve in curves].index(worst.first.signal)
+    apart = curves[number]
     picture = Picture(2, STANDARD)
     above, below = picture.panels
-    both: list[Curve] = []
-    for run, label in zip(runs, _short_labels(runs), strict=True):
-        both += curves_of(run, apart.name, run=label)
-    draw_curves(above, both)
-    draw_curves(below, [replace(apart, name="b - a")])
+    draw_curves(above, pairs[number])
+    draw_curves(below, [replace(apart, name="b - a", run="")])
     if worst.tolerance > 0.0:
         below.axhline(worst.tolerance, label="tolerance", linestyle="--", **_LIMIT)
         below.axhline(-worst.tolerance, linestyle="--", **_LIMIT)
@@ -488,6 +485,23 @@ def plot_difference(comparison: LogDifference, runs: Sequence[Recording], out: P
         below.axvline(time, label="first outside", linestyle=":", **_LIMIT)
     show_legend(below)
     picture.save(out, title=f"{apart.name}: largest |a - b| = {worst.largest:.3g}")
+
+
+def _apart(first: Curve, other: Curve, *, interpolated: bool) -> Curve:
+    """Return ``other - first`` at the instants of both, or of the first within the other."""
+    if not interpolated:
+        times, own, known = np.intersect1d(first.times, other.times, return_indices=True)
+        return replace(first, times=times, values=other.values[known] - first.values[own])
+    has_value = ~np.isnan(other.values)
+    at, values = other.times[has_value], other.values[has_value]
+    own = np.flatnonzero(
+        (first.times >= at.min(initial=np.inf)) & (first.times <= at.max(initial=-np.inf))
+    )
+    times = first.times[own]
+    beside = values[np.searchsorted(at, times, side="right") - 1]
+    if len(times) and not (first.held or other.held):
+        beside = np.interp(times, at, values)
+    return replace(first, times=times, values=beside - first.values[own])
 
 
 def plot_comparison(comparison: Comparison | EstimatorComparison, out: Path) -> None:
@@ -522,8 +536,9 @@ def plot_comparison(comparison: Comparison | EstimatorComparison, out: Path) -> 
         for run in with_it:
             estimates += curves_of(recordings[run], estimate, run=run)
             if runs[0] in with_it and run != runs[0]:
-                curves = difference_curves(recordings[runs[0]], recordings[run], estimate)
-                apart += [replace(curve, run=run) for curve in curves]
+                first = curves_of(recordings[runs[0]], estimate)
+                for one, two in zip(first, curves_of(recordings[run], estimate), strict=True):
+                    apart.append(replace(_apart(one, two, interpolated=False), run=run))
         for panel, drawn in ((left, estimates), (right, apart)):
             if drawn:
                 draw_curves(panel, drawn, runs)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeGuard
 
@@ -137,14 +137,23 @@ def show_difference(difference: LogDifference) -> Shown:
         for cells in (columns, *rows):
             del cells[2]
     yield new_table("", columns, rows)
+    yield from _notes(difference)
+
+
+def _notes(difference: LogDifference) -> Iterator[str]:
+    """Yield where and what was not compared, and how the events compare."""
+    where = "where both have values" if difference.tube is None else "at instants of a within b"
     for row in difference.rows:
         in_a, in_b, both = row.rows
-        if row.status in ("equal", "within", "other times") and both < max(in_a, in_b):
+        expected = in_a if difference.tube else max(in_a, in_b)
+        if row.status in ("equal", "within", "other times") and both < expected:
             yield (
-                f"note: compared only where both have values: {row.signal} at {both} instants "
-                f"({in_a} in a, {in_b} in b)"
+                f"note: compared only {where}: {row.signal} at {both} instants ({in_a} in a, "
+                f"{in_b} in b)"
             )
             break
+    if all(row.status in ("only in a", "only in b") for row in difference.rows):
+        yield "note: no signal of a has the name of one of b; '--map SIGNAL=NAME' pairs them"
     if any(difference.events.events):
         yield _events_text(difference.events)
     if any(row.largest > 0.0 and row.signal.endswith(".delta") for row in difference.rows):

@@ -220,11 +220,16 @@ def read_field_data(
 
 
 def field_data(
-    path: str | Path, form: FieldForm | None = None, *, unread: dict[str, str] | None = None
+    path: str | Path,
+    form: FieldForm | None = None,
+    *,
+    unread: dict[str, str] | None = None,
+    jumps: bool = False,
 ) -> FieldData:
     """Read samples as :func:`read_field_data` does; whoever takes them shows their diagnostics.
 
-    ``unread`` takes the signals that cannot be read, and why, where that shall be no error.
+    ``unread`` takes the signals that cannot be read, and why, where that shall be no error. With
+    ``jumps`` the rows of a table at one time are those of a jump.
     """
     path = expanded(path)
     form = form or FieldForm.model_validate({"path": str(path)})
@@ -236,7 +241,7 @@ def field_data(
     named = [header for header in table.headers if header.text]
     clock, notes = _clock(table, named, form)
     chosen = _signals(table.label, named, clock, form)
-    times = _times(table, clock, form)
+    times = _times(table, clock, form, jumps=jumps)
     signals = []
     for name, parts in chosen.items():
         try:
@@ -366,7 +371,7 @@ class _Times(NamedTuple):
     notes: tuple[str, ...]
 
 
-def _times(table: DataTable, clock: Header, form: FieldForm) -> _Times:
+def _times(table: DataTable, clock: Header, form: FieldForm, *, jumps: bool) -> _Times:
     """Return the times of the rows that count.
 
     Raises
@@ -391,7 +396,10 @@ def _times(table: DataTable, clock: Header, form: FieldForm) -> _Times:
     repeated = is_last.count(False)
     rows: Sequence[int] = range(len(stamps))
     notes: tuple[str, ...] = ()
-    if repeated and same_time == "spread":
+    if repeated and jumps:
+        found = f"{repeated} of {len(stamps)} rows have the time of the row before, as at a jump"
+        notes = (f"{table.label}: {found}",)
+    elif repeated and same_time == "spread":
         stamps = _spread(table.label, stamps)
     elif repeated and same_time == "last":
         dropped = f"{repeated} of {len(stamps)} rows dropped: a later one has the same time"
@@ -400,7 +408,7 @@ def _times(table: DataTable, clock: Header, form: FieldForm) -> _Times:
         stamps = [stamps[row] for row in rows]
     zero = stamps[0] if form.offset == "first" else Decimal(repr(form.offset or 0))
     seconds = [float((stamp - zero) * second) for stamp in stamps]
-    _check_increasing(table, seconds, rows)
+    _check_increasing(table, seconds, rows, jumps=jumps)
     t = np.array(seconds)
     restart = None
     if len(stamps) > 1:
@@ -417,9 +425,11 @@ def _times(table: DataTable, clock: Header, form: FieldForm) -> _Times:
     return _Times(t, rows, restart, notes)
 
 
-def _check_increasing(table: DataTable, seconds: Sequence[float], rows: Sequence[int]) -> None:
+def _check_increasing(
+    table: DataTable, seconds: Sequence[float], rows: Sequence[int], *, jumps: bool
+) -> None:
     for number, (before, t) in enumerate(pairwise([-math.inf, *seconds])):
-        if before < t < math.inf:
+        if before < t < math.inf or (jumps and before == t):
             continue
         way_out = "select another column by time"
         if t == before:

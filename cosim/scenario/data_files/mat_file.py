@@ -44,7 +44,9 @@ _INTEGERS: Final = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 12: "i
 _NUMBERS: Final = {**_INTEGERS, 7: "f4", 9: "f8"}
 _SPARSE: Final = 5  # classes of matrices
 _NUMERIC: Final = range(6, 16)
-_OTHERS: Final = {1: "a cell array", 2: "a struct", 4: "text"}
+_STRUCT: Final = 2
+_CHARACTERS: Final = 4
+_OTHERS: Final = {1: "a cell array", _STRUCT: "a struct", _CHARACTERS: "text"}
 _IS_COMPLEX: Final = 0x08
 _HDF5: Final = b"\x89HDF\r\n\x1a\n"
 _HDF5_AT: Final = 512  # bytes that MATLAB writes before it
@@ -56,11 +58,13 @@ _UNIT: Final = re.compile(r".*\[(?P<unit>[^\[\]|]+)(?:\|[^\[\]]*)?\]\s*", re.DOT
 class OtherVariable:
     """A variable that is no matrix of real numbers: what it is, and the rows of a text.
 
-    The rows are those of version 4, in which simulations are written.
+    The rows are those of version 4, in which simulations are written; ``entries`` are those of a
+    struct array of texts.
     """
 
     what: str
     rows: tuple[str, ...] = ()
+    entries: tuple[Mapping[str, str], ...] = ()
 
 
 MatVariable: TypeAlias = Matrix | OtherVariable
@@ -174,6 +178,8 @@ def _variable(elements: _ElementReader) -> tuple[str, MatVariable]:
     dimensions = elements.numbers().tolist()
     name = elements.next()[1].decode("ascii")
     array_class = flags & 0xFF
+    if array_class == _STRUCT:
+        return name, OtherVariable(_OTHERS[_STRUCT], entries=_texts(elements))
     if array_class not in (_SPARSE, *_NUMERIC):
         return name, OtherVariable(_OTHERS.get(array_class, "an object"))
     if len(dimensions) != 2:
@@ -186,6 +192,27 @@ def _variable(elements: _ElementReader) -> tuple[str, MatVariable]:
     if array_class == _SPARSE:
         return name, frozen(_sparse(elements, rows, columns), 2)
     return name, frozen(elements.numbers().reshape((rows, columns), order="F"), 2)
+
+
+def _texts(elements: _ElementReader) -> tuple[dict[str, str], ...]:
+    """Return the fields of a struct array, if all are texts of one row."""
+    width = int(elements.numbers()[0])
+    written = elements.next()[1].decode("ascii")
+    if width < 1:
+        raise ValueError("a struct without names of fields")
+    names = [written[at : at + width].rstrip("\0") for at in range(0, len(written), width)]
+    texts = []
+    while elements:
+        field = _ElementReader(elements.next()[1])
+        array_class = int(field.numbers()[0]) & 0xFF
+        is_row = field.numbers().tolist()[0] in (0, 1)
+        field.next()  # its name
+        if array_class != _CHARACTERS or not is_row:
+            return ()
+        kind, content = field.next() if field else (1, b"")
+        texts.append(content.decode({4: "utf-16-le", 17: "utf-16-le"}.get(kind, "utf-8")))
+    parts = [texts[at : at + len(names)] for at in range(0, len(texts), len(names) or 1)]
+    return tuple(dict(zip(names, part, strict=True)) for part in parts)
 
 
 def _sparse(elements: _ElementReader, rows: int, columns: int) -> Matrix:
@@ -220,7 +247,7 @@ class MatTable(DataTable):
         matrices = {
             key: own for key, own in variables.items() if not isinstance(own, OtherVariable)
         }
-        if others.get("signals") == OtherVariable("a struct"):
+        if "signals" in others and others["signals"].entries:
             raise UsageError(
                 f"{self.label}: expected samples, got a log that 'cosim convert' wrote; use the "
                 "log itself, or convert it to Parquet"

@@ -2,32 +2,42 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections import Counter, defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
-from typing import Final, final
+from typing import Any, Final, TypeAlias, final
 
 import numpy as np
 
-from cosim.arrays import Mask, read_only
-from cosim.blocks.field_data import FieldSignal
+from cosim.arrays import Mask, Matrix, Nanoseconds, Vector, as_columns, read_only
+from cosim.core.port import Port
 from cosim.core.recorded.run import RecordedRun
 from cosim.core.recording import TimedRows
 from cosim.core.signals import Channel, Interface, Signal
 from cosim.errors import LogError, UsageError, listing, warn
 from cosim.files import expanded, file_type
 from cosim.instants import NANOSECONDS
+from cosim.log.conversion import SIGNALS_KEY, TIME_KEY
 from cosim.log.foreign.fields import split_field
 from cosim.log.foreign.samples import read_fields, survey
 from cosim.log.foreign.topics import is_foreign
 from cosim.log.reader import open_log
 from cosim.scenario.data_files.field_file import field_data
+from cosim.scenario.data_files.mat_file import OtherVariable, read_variables
+from cosim.scenario.data_files.table import LARGEST, content_of
 
 TABLE: Final = "table"  # the component of columns that name none
 VALUE: Final = "value"  # of messages that have no fields
 
+_ARRAYS: Final = (".mat", ".npz")  # that 'cosim convert' writes
 _WHOLE: Final = re.compile(r"\[0:\d+\]$")  # of a field that is a vector, all of its elements
+_BETWEEN_ROWS: Final = {
+    "variability": ("continuous", "discrete"),
+    "type": ("real", "integer", "boolean"),
+}
 _MOST_SECONDS: Final = 2**63 / NANOSECONDS
 
 
@@ -37,9 +47,10 @@ def open_recording(path: str | Path) -> RecordedRun:
     Parameters
     ----------
     path : str or Path
-        Of a log of cosim, which is opened as by :func:`cosim.open_log`; of a table (CSV and other
-        text, .parquet, .xlsx, .mat) with a column of times, as :func:`cosim.read_field_data` finds
-        them; or of an MCAP file of another tool. A column ``plant.y`` is signal y of component
+        Of a log of cosim, which is opened as by :func:`cosim.open_log`; of what ``cosim convert``
+        made of one; of a table (CSV and other text, .parquet, .xlsx, .mat) with a column of times,
+        as :func:`cosim.read_field_data` finds them; or of an MCAP file of another tool. Rows of a
+        table at one time are those of a jump. A column ``plant.y`` is signal y of component
         plant, and ``plant.x[0]``, ``plant.x[1]``, ... are elements of one; a column without a
         component belongs to ``table``. Of messages a topic is a component, and its numeric fields
         are signals, at their log times.
@@ -57,6 +68,10 @@ def open_recording(path: str | Path) -> RecordedRun:
     [1.5, 2.0]
     """
     path = expanded(path)
+    if path.suffix.lower() in _ARRAYS:
+        arrays = _arrays(path)
+        if arrays is not None:
+            return arrays
     match file_type(path):
         case "table":
             return _table(path)
@@ -64,6 +79,14 @@ def open_recording(path: str | Path) -> RecordedRun:
             return _messages(path)
         case _:
             return open_log(path)
+
+
+def is_recording(path: str | Path) -> bool:
+    """Return whether a file is one that :func:`open_recording` opens, by the ending of its name."""
+    return file_type(path) in ("log", "table") or Path(path).suffix.lower() in _ARRAYS
+
+
+_ComponentSamples: TypeAlias = tuple[Nanoseconds, Sequence[tuple[Signal, Matrix]]]
 
 
 @final
@@ -74,19 +97,26 @@ class FileRun(RecordedRun):
     ----------
     label : str
         Path of the file.
-    channels : mapping of name to Channel
-    samples : mapping of name to (times, rows)
-        Of every component, in order of time.
+    components : mapping of name to (times, signals and their values)
+        In order of time.
     """
 
-    def __init__(
-        self, label: str, channels: Mapping[str, Channel], samples: Mapping[str, TimedRows]
-    ) -> None:
+    def __init__(self, label: str, components: Mapping[str, _ComponentSamples]) -> None:
         self._label = label
-        self._channels = channels
-        self._samples = samples
-        distances = [np.diff(times).min() for times, _ in samples.values() if len(times) > 1]
-        self._step_ns = int(min(distances, default=NANOSECONDS))
+        self._times: dict[str, Nanoseconds] = {}
+        self._rows: dict[str, Matrix] = {}
+        self._channels: dict[str, Channel] = {}
+        start = 0
+        distances = []
+        for name, (time_ns, own) in components.items():
+            self._times[name] = time_ns
+            self._rows[name] = read_only(np.hstack([values for _, values in own]))
+            interface = Interface((), tuple(signal for signal, _ in own))
+            self._channels[name] = Channel(name, interface, start)
+            start += self._rows[name].shape[1]
+            apart = np.diff(time_ns)
+            distances += [int(apart[apart > 0].min())] if (apart > 0).any() else []
+        self._step_ns = min(distances, default=NANOSECONDS)
 
     @property
     def label(self) -> str:
@@ -126,49 +156,65 @@ class FileRun(RecordedRun):
     @property
     def steps(self) -> int:
         """Number of the last row of the component that has most."""
-        return max((len(times) - 1 for times, _ in self._samples.values()), default=0)
+        return max((len(times) - 1 for times in self._times.values()), default=0)
 
     @property
     def end_ns(self) -> int:
         """The last instant [ns]."""
-        return max((int(times[-1]) for times, _ in self._samples.values()), default=0)
+        return max((int(times[-1]) for times in self._times.values() if len(times)), default=0)
 
     def _timed_rows(self, channel: Channel) -> TimedRows:
-        return self._samples[channel.name]
+        return self._times[channel.name], self._rows[channel.name]
+
+
+def _nanoseconds(label: str, times: Vector) -> Nanoseconds:
+    """Return times in s, in order, as whole ns."""
+    if len(times) and max(abs(times[0]), abs(times[-1])) >= _MOST_SECONDS:
+        raise UsageError(f"{label}: expected times within 292 years of 0, got {times[-1]} s")
+    time_ns = np.array([round(t * NANOSECONDS) for t in times.tolist()], np.int64)
+    if ((np.diff(time_ns) <= 0) & (np.diff(times) != 0.0)).any():
+        raise UsageError(f"{label}: expected times at least 1 ns apart")
+    return time_ns
 
 
 def _table(path: Path) -> FileRun:
     """Read a table; a component has rows where one of its columns has a number."""
-    data = field_data(path)
+    data = field_data(path, jumps=True)
     warn(data.diagnostics)
-    if len(data.t) and max(abs(data.t[0]), abs(data.t[-1])) >= _MOST_SECONDS:
-        raise UsageError(f"{data.source}: expected times within 292 years of 0, got {data.t[-1]} s")
-    time_ns = np.array([round(t * NANOSECONDS) for t in data.t.tolist()], np.int64)
-    if (np.diff(time_ns) <= 0).any():
-        raise UsageError(f"{data.source}: expected times at least 1 ns apart")
-    components: dict[str, list[FieldSignal]] = defaultdict(list)
-    for signal in data.signals:
-        component, dot, _ = signal.name.partition(".")
-        components[component if dot else TABLE].append(signal)
-    channels: dict[str, Channel] = {}
-    samples: dict[str, TimedRows] = {}
-    start = 0
+    time_ns = _nanoseconds(data.source, data.t)
+    declared = _declared(path)
+    components: dict[str, list[tuple[Signal, Matrix]]] = defaultdict(list)
+    for found in data.signals:
+        component, dot, name = found.name.partition(".")
+        values = found.values
+        about = declared.get(found.columns[0], {})
+        signal = Signal(
+            name if dot else component, values.shape[1], found.unit, optional=True, **about
+        )
+        components[component if dot else TABLE].append((signal, values))
+    runs: dict[str, _ComponentSamples] = {}
     for name, own in components.items():
-        signals = [
-            Signal(
-                signal.name.removeprefix(f"{name}."),
-                signal.values.shape[1],
-                unit=signal.unit,
-                optional=True,
-            )
-            for signal in own
-        ]
-        rows = np.hstack([signal.values for signal in own])
-        is_measured = ~np.isnan(rows).all(axis=1)
-        channels[name] = Channel(name, Interface((), tuple(signals)), start)
-        samples[name] = time_ns[is_measured], read_only(rows[is_measured])
-        start += rows.shape[1]
-    return FileRun(str(path), channels, samples)
+        there = ~np.isnan(np.hstack([values for _, values in own])).all(axis=1)
+        runs[name] = time_ns[there], [(signal, values[there]) for signal, values in own]
+    return FileRun(str(path), runs)
+
+
+def _declared(path: Path) -> dict[str, dict[str, Any]]:
+    """Return what the columns are, as 'cosim convert' writes it beside them in Parquet."""
+    if path.suffix.lower() != ".parquet":
+        return {}
+    from pyarrow.parquet import read_schema
+
+    about = {}
+    for field in read_schema(path):
+        written = {key: (field.metadata or {}).get(key.encode(), b"") for key in _BETWEEN_ROWS}
+        about[field.name] = _known({k: v.decode("utf-8", "replace") for k, v in written.items()})
+    return about
+
+
+def _known(about: Mapping[str, str]) -> dict[str, Any]:
+    """Return what of a written signal says how it is between two rows."""
+    return {key: about[key] for key, known in _BETWEEN_ROWS.items() if about.get(key) in known}
 
 
 def _messages(path: Path) -> FileRun:
@@ -184,34 +230,79 @@ def _messages(path: Path) -> FileRun:
     if not names:
         raise LogError(f"{path}: expected messages with numeric fields, got none")
     found = {one.field: one for one in read_fields(path, names, is_lenient=True)}
-    channels: dict[str, Channel] = {}
-    samples: dict[str, TimedRows] = {}
-    start = 0
+    components: dict[str, _ComponentSamples] = {}
     for topic, fields in topics.items():
         own = [found[field] for field in fields if field in found]
         if not own:
             continue
-        rows = np.hstack([each.values for each in own])
-        signals = [
-            Signal(
-                _name(each.field, topic),
-                each.values.shape[1],
-                variability="discrete" if each.is_discrete else "continuous",
-                optional=True,
+        signals = []
+        for each in own:
+            about = _known({"variability": "discrete"} if each.is_discrete else {})
+            name = _name(each.field, topic)
+            signals.append(
+                (Signal(name, each.values.shape[1], optional=True, **about), each.values)
             )
-            for each in own
-        ]
-        channels[topic] = Channel(topic, Interface((), tuple(signals)), start)
-        samples[topic] = own[0].time_ns, read_only(rows)
-        start += rows.shape[1]
-    names = [f"{name}.{signal.name}" for name, one in channels.items() for signal in one.signals]
+        components[topic] = own[0].time_ns, signals
+    names = [f"{topic}.{one.name}" for topic, (_, own) in components.items() for one, _ in own]
     twice = [name for name, count in Counter(names).items() if count > 1]
     if twice:
         raise LogError(f"{path}: expected one field of each name, got two of {twice[0]!r}")
-    return FileRun(str(path), channels, samples)
+    return FileRun(str(path), components)
 
 
 def _name(field: str, topic: str) -> str:
     """Return the name in a topic of a field; a message may be the number or the array itself."""
     found = split_field(field, [topic])
     return _WHOLE.sub("", found[1] if found else field) or VALUE
+
+
+# --- what 'cosim convert' wrote ---
+
+# what is said of a signal, its values and their times
+_WrittenArray: TypeAlias = tuple[Mapping[str, str], Any, Any]
+
+
+def _npz_arrays(content: bytes) -> Iterator[_WrittenArray]:
+    with np.load(BytesIO(content), allow_pickle=False) as archive:
+        if sum(entry.file_size for entry in archive.zip.infolist()) > LARGEST:
+            raise ValueError(f"more than {LARGEST} bytes")
+        for name, about in json.loads(str(archive[SIGNALS_KEY])).items():
+            times = archive[f"{TIME_KEY}{Port.parse(name).component}"]
+            yield {**about, "name": name}, archive[name], times
+
+
+def _arrays(path: Path) -> FileRun | None:
+    """Read arrays as 'cosim convert' writes them; None: they are others."""
+    label = f"file {str(path)!r}"
+    content = content_of(path)
+    arrays: Iterable[_WrittenArray]
+    if path.suffix.lower() == ".npz":
+        arrays = _npz_arrays(content)
+    else:
+        found = read_variables(label, content)
+        signals = found.get(SIGNALS_KEY)
+        if not isinstance(signals, OtherVariable) or not signals.entries:
+            return None
+        arrays = ((own, found[own["variable"]], found[own["time"]]) for own in signals.entries)
+    components: dict[str, tuple[Nanoseconds, list[tuple[Signal, Matrix]]]] = {}
+    try:
+        for about, written, times in arrays:
+            component = Port.parse(about["name"]).component
+            values = as_columns(np.asarray(written, np.float64))
+            size = values.shape[1]
+            units = (about.get("unit") or "").split(", ")
+            unit = tuple(units) if len(units) == size > 1 else about.get("unit") or None
+            name = about["name"].removeprefix(f"{component}.")
+            signal = Signal(name, size, unit, optional=True, **_known(about))
+            if component not in components:
+                components[component] = (_nanoseconds(label, np.ravel(times)), [])
+            time_ns, own = components[component]
+            if len(values) != len(time_ns):
+                raise ValueError(f"{len(values)} values of {name!r} at {len(time_ns)} times")
+            own.append((signal, values))
+        return FileRun(str(path), components)
+    except UsageError:
+        raise
+    except Exception as error:  # zipfile and numpy raise whatever a damaged byte leads to
+        problem = f"expected arrays as 'cosim convert' writes them: {error}"
+        raise UsageError(f"{label}: {problem}") from error

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 from mcap_protobuf.writer import Writer
 
 import cosim
+from cosim.core.contracts import Block
+from cosim.core.recorders import Memory
+from cosim.core.recording import Plan
+from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import LogError, UnknownSignalError, UsageError
-from cosim.log.conversion import convert
+from cosim.log.conversion import ENDINGS, convert
 from cosim.log.text import LogChoice
 from tests.log.foreign_files import state_class, write_json
 
@@ -19,19 +25,76 @@ def table(folder, text):
     return cosim.open_recording(path)
 
 
-@pytest.mark.parametrize("ending", ["csv", "parquet"])
+@pytest.mark.parametrize("ending", ENDINGS)
 def test_a_converted_log_is_the_run(tmp_path, ending):
     """Every signal has the same bits at the same times, those of slower components, too."""
     changes = {"scenario.stop": 1.0, "identifier.period": 0.02}
     log = cosim.run("closed-loop", set=changes, out=tmp_path / "a.mcap")
-    convert(LogChoice.of(log), tmp_path / f"a.{ending}")
-    found = cosim.open_recording(tmp_path / f"a.{ending}")
+    convert(LogChoice.of(log), tmp_path / f"a{ending}")
+    found = cosim.open_recording(tmp_path / f"a{ending}")
     difference = cosim.diff(log, found)
     assert {row.status for row in difference.rows} == {"equal"}
     assert difference.equal
     assert found.time("identifier")[1] == 0.02
     expressions = {"rms": "rms(plant.y - observer.y)"}
     assert cosim.metrics(found, expressions) == cosim.metrics(log, expressions)
+    convert(LogChoice.of(log.window(5.0), ["plant.y"]), tmp_path / f"b{ending}")
+    if ending != ".csv" and ending != ".parquet":
+        assert cosim.open_recording(tmp_path / f"b{ending}")["plant.y"].shape == (0,)
+
+
+@pytest.mark.parametrize("ending", [".parquet", ".mat", ".npz"])
+def test_a_converted_signal_keeps_its_unit_and_how_it_is_between_rows(tmp_path, ending):
+    """Of each element; text has no place for the latter."""
+    interface = Interface(
+        (),
+        (Signal("y", 2, unit=("mm", "m/s")), Signal("n", type="integer", variability="discrete")),
+    )
+    with Memory() as memory:
+        memory.begin(Plan(Layout((Channel("/a b", interface, 0),)), 1_000_000, {}, {}, ()))
+        times = np.arange(3) * 1_000_000
+        memory.write(Block(0, times, times / 1e9, 1e-3), np.arange(9.0).reshape(3, 3))
+    convert(LogChoice.of(memory), tmp_path / f"a{ending}")
+    found = cosim.open_recording(tmp_path / f"a{ending}")
+    signals = found.channels["/a b"].by_name
+    assert signals["y"].unit == ("mm", "m/s")
+    assert (signals["n"].type, signals["n"].variability) == ("integer", "discrete")
+    assert cosim.diff(memory, found).equal
+
+
+@pytest.mark.parametrize("ending", [".mat", ".npz"])
+def test_damaged_arrays_are_refused_or_read(tmp_path, ending):
+    """Without running code or another error, whatever byte is another."""
+    log = cosim.run("pair", set={"scenario.stop": 0.1}, out=tmp_path / "a.mcap")
+    path = tmp_path / f"a{ending}"
+    convert(LogChoice.of(log), path)
+    good = path.read_bytes()
+    rng = np.random.default_rng(0)
+    refused = 0
+    for _ in range(150):
+        damaged = bytearray(good)
+        damaged[rng.integers(len(good))] ^= 1 << rng.integers(8)
+        path.write_bytes(damaged[: rng.integers(len(good)) if rng.random() < 0.2 else None])
+        try:
+            with warnings.catch_warnings(action="ignore"):
+                cosim.open_recording(path)
+        except UsageError:
+            refused += 1
+    assert refused > 20
+    np.savez(tmp_path / "b.npz", y=np.array([print], object))
+    with pytest.raises(UsageError, match=r"b\.npz': expected arrays as 'cosim convert' writes"):
+        cosim.open_recording(tmp_path / "b.npz")
+
+
+def test_rows_of_one_time_are_those_of_a_jump(tmp_path):
+    """Both are kept, as tools write them at events; which is said."""
+    with pytest.warns(cosim.CosimWarning, match="1 of 4 rows have the time of the row before"):
+        run = table(tmp_path, "t,y\n0,0\n1,0\n1,5\n2,5\n")
+    assert run.time_ns("table").tolist() == [0, 10**9, 10**9, 2 * 10**9]
+    assert run["table.y"].tolist() == [0, 0, 5, 5]
+    assert run.step_ns == 10**9
+    with pytest.raises(UsageError, match=r"a\.csv.*line 4: expected increasing times"):
+        table(tmp_path, "t,y\n0,1\n2,2\n1,3\n")
 
 
 def test_columns_are_signals_of_components(tmp_path):
