@@ -60,6 +60,7 @@ def test_a_server_shows_one_thing(collector):
         collector.beside(Memory(), {})
 
 
+@pytest.mark.usefixtures("collecting")
 def test_wrong_addresses_are_refused():
     """TCP has 65535 ports, a label of a name 63 characters; 192.0.2.1 is nobody's (RFC 5737)."""
     for port in (-1, 65536, 10**30):
