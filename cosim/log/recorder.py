@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self, final
@@ -21,7 +22,7 @@ from cosim.log.files import Rotation, UnfinishedLog
 from cosim.log.messages import encode_event, encode_log, encode_substep
 from cosim.log.preamble import EVENT_TOPIC, LOG_TOPIC, STEP_TOPIC, Attachment, begin_file
 from cosim.log.reader import Log
-from cosim.log.store import LogOptions, LogStore, check_place
+from cosim.log.store import LogStore, check_place
 
 _GONE: Final = (errno.ENOENT, errno.ESTALE)  # the file at its path is not that of the run
 
@@ -80,7 +81,6 @@ class McapRecorder:
         sync: bool = False,
         rotation: Rotation | None = None,
     ) -> None:
-        self._options = LogOptions(compression, sync, rotation)
         self._kinds = kinds or {}
         self._metadata = metadata or {}
         self._attachments = attachments
@@ -89,6 +89,9 @@ class McapRecorder:
         self._channel_ids: dict[str, int] = {}  # of what is no signal, by topic
         self._flush = flush
         self._file = UnfinishedLog(path, force=force, numbered=numbered)
+        self._new_store = partial(
+            LogStore, self._file, compression=compression, sync=sync, rotation=rotation
+        )
         self._writer: BackgroundWriter | None = None
         self._early: list[tuple[str, int, bytes]] = []  # messages before the file
 
@@ -177,10 +180,7 @@ class McapRecorder:
             kinds=self._kinds,
             topics=self._topics,
         )
-        rotation = self._options.rotation
-        if rotation is not None:
-            rotation.check(plan.layout.channels, plan.step_ns, len(head.data))
-        self._store = LogStore(self._file, plan, head, parts, self._options)
+        self._store = self._new_store(plan, head, parts)
         self._step_ns = plan.step_ns
         # Last: with a writer the file is completed, and that needs everything above.
         self._writer = BackgroundWriter(
@@ -273,7 +273,7 @@ class McapRecorder:
         reason = error.strerror or str(error)
         self._result.pop("last", None)  # of rows that are not in the file
         self._store.fail(reason, self._result)
-        text = f"{self._store.path} cannot be written further: {reason}"
+        text = f"{self._store.place.path} cannot be written further: {reason}"
         if error.errno not in _GONE:
             text += f"; the log is valid up to t = {self._store.end_ns / NANOSECONDS} s"
         raise LogWriteError(text) from error

@@ -17,7 +17,6 @@ import hashlib
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeAlias, final
@@ -83,95 +82,6 @@ _MESSAGE = struct.Struct("<BQHIQQ")  # a message record up to its data
 RowSelection: TypeAlias = slice | NDArray[np.intp]
 
 
-@final
-class MessageEncoder:
-    """Makes the message records of rows.
-
-    Parameters
-    ----------
-    layout : Layout
-    parts : mapping of channel id to Part
-
-    Attributes
-    ----------
-    row_bytes : float
-        Of the records of a row, on average.
-    capacity : int
-        Rows of a flush.
-    """
-
-    def __init__(self, layout: Layout, parts: Mapping[int, Part]) -> None:
-        self._layout = layout
-        self.parts = parts
-        self._blank: dict[int, Records] = {}  # by channel id, filled again every time
-        sizes = [record_dtype(own.size).itemsize / own.channel.period for own in parts.values()]
-        self.row_bytes = sum(sizes)
-        self.capacity = _capacity(layout, len(parts), self.row_bytes)
-
-    def batches(self, content: RunContent, grid: Grid) -> list[MessageBatch]:
-        """Return the message records, one batch per channel that has any.
-
-        They share the encoder's memory: valid until the next call.
-
-        Parameters
-        ----------
-        content : RunContent
-        grid : Grid
-            The communication points: the sequence of messages that are not rows.
-        """
-        selected = self._selected(content)
-        batches = []
-        for channel_id, part in self.parts.items():
-            rows = selected[part.channel.period]
-            batch = self._batch(channel_id, part, content, rows)
-            if len(batch.time_ns):
-                batches.append(batch)
-        messages: dict[int, list[WaitingMessage]] = {}
-        for message in content.messages:
-            messages.setdefault(message.channel_id, []).append(message)
-        for waiting in messages.values():
-            batches.append(_message_batch(waiting, grid))
-        return batches
-
-    def _batch(
-        self, channel_id: int, part: Part, rows: RunContent, selected: RowSelection
-    ) -> MessageBatch:
-        time_ns = rows.time_ns[selected]
-        records = self._records(channel_id, part.size, len(time_ns))
-        records["sequence"] = rows.steps[selected].astype(np.uint32)
-        unsigned_ns = time_ns.view(np.uint64)  # else numpy would convert each
-        records["log_time"] = unsigned_ns
-        records["publish_time"] = unsigned_ns
-        start = part.channel.start + part.columns.start
-        fill_values(records, rows.values[selected, start : start + part.size])
-        offsets = np.arange(0, records.nbytes, records.itemsize)
-        return MessageBatch(channel_id, records.view(np.uint8).data, time_ns, offsets)
-
-    def _records(self, channel_id: int, size: int, count: int) -> Records:
-        """Return records with everything constant filled in."""
-        blank = self._blank.get(channel_id)
-        if blank is None or len(blank) < count:
-            blank = blank_records(channel_id, size, count)
-            self._blank[channel_id] = blank
-        return blank[:count]
-
-    def hash_into(self, hashes: dict[str, hashlib._Hash], rows: RunContent) -> None:
-        """Add rows to the content hashes of their components."""
-        selected = self._selected(rows)
-        for channel in self._layout.channels:
-            own = selected[channel.period]
-            values = rows.values[own, channel.columns]
-            hashes[channel.name].update(hash_input(rows.time_ns[own], values))
-
-    def _selected(self, rows: RunContent) -> dict[int, RowSelection]:
-        """Return for each period the rows that components of that period record."""
-        selected: dict[int, RowSelection] = {}
-        for period in {channel.period for channel in self._layout.channels}:
-            every = slice(len(rows.steps))
-            selected[period] = every if period == 1 else np.flatnonzero(rows.steps % period == 0)
-        return selected
-
-
 def _capacity(layout: Layout, channels: int, row_bytes: float) -> int:
     """Return the number of rows of a flush, or of the buffer where periods are long."""
     flush_bytes = min(max(channels * _CHANNEL_BYTES, CHUNK_BYTES), _LARGEST_FLUSH)
@@ -181,41 +91,20 @@ def _capacity(layout: Layout, channels: int, row_bytes: float) -> int:
 
 
 def _message_batch(messages: Sequence[WaitingMessage], grid: Grid) -> MessageBatch:
-    """Return the records of messages of any size in one channel.
-
-    Their sequence is the number of the communication step.
-    """
+    """Return the records of messages of one channel, with the step's number as their sequence."""
     records = []
-    times = []
-    offsets = []
-    size = 0
     for channel_id, time_ns, data in messages:
         length = _MESSAGE.size - HEADER + len(data)
         sequence = grid.number(time_ns) & _SEQUENCE_MASK
         header = _MESSAGE.pack(Opcode.MESSAGE, length, channel_id, sequence, time_ns, time_ns)
         records.append(header + data)
-        times.append(time_ns)
-        offsets.append(size)
-        size += len(header) + len(data)
-    return MessageBatch(
-        messages[0].channel_id,
-        memoryview(b"".join(records)),
-        np.array(times, dtype=np.int64),
-        np.array(offsets, dtype=np.int64),
-    )
+    times = np.array([message.time_ns for message in messages], dtype=np.int64)
+    offsets = np.cumsum([0, *map(len, records[:-1])], dtype=np.int64)
+    return MessageBatch(messages[0].channel_id, memoryview(b"".join(records)), times, offsets)
 
 
 _FEW_CHANNEL_BYTES: Final = 2**14  # with less a channel shares the chunk with all others
 _PIECES: Final = 8  # of a file, before compression: it becomes no larger by more than one
-
-
-@dataclass(frozen=True, slots=True)
-class LogOptions:
-    """How the log of a run is written; see :class:`cosim.log.McapRecorder`."""
-
-    compression: Compression = "zstd"
-    sync: bool = False
-    rotation: Rotation | None = None
 
 
 @final
@@ -230,12 +119,15 @@ class LogStore:
     head : FileHead
         What every file begins with.
     parts : mapping of channel id to Part
-    options : LogOptions
+    compression, sync, rotation
+        See :class:`cosim.log.McapRecorder`.
 
     Attributes
     ----------
-    last_place : UnfinishedLog
-        Of the last file that is at its path, or will be.
+    place, last_place : UnfinishedLog
+        Of the file that is written; of the last one that is at its path, or will be.
+    capacity : int
+        Rows of a flush.
     steps, end_ns : int
         Of the last row.
 
@@ -243,6 +135,8 @@ class LogStore:
     ------
     LogError
         If the file cannot be created.
+    UsageError
+        If a file of the rotation has no room for rows.
     OSError
         From every method that writes; what was written before stays whole.
     """
@@ -253,16 +147,26 @@ class LogStore:
         plan: Plan,
         head: FileHead,
         parts: Mapping[int, Part],
-        options: LogOptions,
+        *,
+        compression: Compression,
+        sync: bool = False,
+        rotation: Rotation | None = None,
     ) -> None:
         self._first_place = place
-        self._place = place
+        self.place = place
         self.last_place = place
         self._head = head
         self._plan = plan
-        self._options = options
-        self._encoder = MessageEncoder(plan.layout, parts)
-        self._has_few_channels = len(parts) * _FEW_CHANNEL_BYTES <= CHUNK_BYTES
+        self._compression: Compression = compression
+        self._sync = sync
+        self._rotation = rotation
+        if rotation is not None:
+            rotation.check(plan.layout.channels, plan.step_ns, len(head.data))
+        self._parts = parts
+        self._blank: dict[int, Records] = {}  # by channel id, filled again every time
+        sizes = [record_dtype(own.size).itemsize / own.channel.period for own in parts.values()]
+        self._row_bytes = sum(sizes)  # of the records of a row, on average
+        self.capacity = _capacity(plan.layout, len(parts), self._row_bytes)
         # Of the rows of the run by component; of a file behind the first one those of its own, too.
         self._hashes: tuple[dict[str, hashlib._Hash], ...] = (self._new_hashes(),)
         self._number = 1  # of the file
@@ -279,24 +183,14 @@ class LogStore:
     def _new_file(self, place: UnfinishedLog) -> LiveFile:
         stream = place.create()
         with refused(f"{place.path} cannot be written"):
-            return LiveFile(stream, self._head.data, self._head.summary(), sync=self._options.sync)
-
-    @property
-    def capacity(self) -> int:
-        """The number of rows of a flush."""
-        return self._encoder.capacity
-
-    @property
-    def path(self) -> Path:
-        """Where the file is that is written."""
-        return self._place.path
+            return LiveFile(stream, self._head.data, self._head.summary(), sync=self._sync)
 
     def size_bound(self, steps: int) -> int:
         """Return how large the log of a run can become, without its messages [bytes].
 
         It is an upper bound for every compression, however often the file is flushed.
         """
-        parts = self._encoder.parts.values()
+        parts = self._parts.values()
         rows = steps + 1
         records = 0
         for part in parts:
@@ -318,9 +212,8 @@ class LogStore:
     def begin(self, start_ns: int) -> None:
         """Take the time of the first row, and publish the first file."""
         self._start_ns = start_ns
-        rotation = self._options.rotation
-        if rotation is not None and rotation.span_ns is not None:
-            self._next_ns = start_ns + rotation.span_ns
+        if self._rotation is not None and self._rotation.span_ns is not None:
+            self._next_ns = start_ns + self._rotation.span_ns
         self.publish()
 
     def publish(self) -> None:
@@ -344,7 +237,7 @@ class LogStore:
     def add(self, content: RunContent) -> None:
         """Write a flush; its memory may be used again afterwards."""
         for part in self._by_file(content):
-            self._place.check()
+            self.place.check()
             self._add(part)
 
     def finish(self, last: RunContent | None, end: EndOfRun, values: Mapping[str, Any]) -> None:
@@ -374,13 +267,11 @@ class LogStore:
         except OSError:
             self._file.abandon()
             self._workers.close()
-        self._place.discard()  # a next file that has not got its name
-
-    # --- several files ---
+        self.place.discard()  # a next file that has not got its name
 
     def _by_file(self, content: RunContent) -> Iterator[RunContent]:
         """Yield a content as it belongs to files; begin a next one before what belongs there."""
-        rotation = self._options.rotation
+        rotation = self._rotation
         if rotation is None:
             yield content
         elif rotation.span_ns is not None:
@@ -394,7 +285,7 @@ class LogStore:
                 self._next_ns += rotation.span_ns
             yield content
         elif rotation.size is not None:
-            rows = max(int(rotation.size / _PIECES / max(self._encoder.row_bytes, 1.0)), 1)
+            rows = max(int(rotation.size / _PIECES / max(self._row_bytes, 1.0)), 1)
             for piece in content.pieces(rows):
                 is_large = self._first_ns is not None and self._file.size >= rotation.size
                 if is_large and len(piece.steps):
@@ -403,7 +294,7 @@ class LogStore:
 
     def _go_on(self) -> None:
         """Close the file as a part of the log, and begin the next one, under its path at once."""
-        self._place.check()
+        self.place.check()
         path = part_path(self._first_place.path, self._number + 1)
         following = UnfinishedLog(path, force=False)
         try:
@@ -415,7 +306,7 @@ class LogStore:
             following.discard()
             raise _as_os_error(error) from error
         self._file = file
-        self._place = following
+        self.place = following
         self._hashes = (self._hashes[0], self._new_hashes())
         self._number += 1
         self._first_ns = None
@@ -444,15 +335,14 @@ class LogStore:
             "content_hash": combine_hashes(components),
         }
 
-    # --- one file ---
-
     def _add(self, content: RunContent) -> None:
         """Write a content to the file.
 
         One that is large makes chunks that stay. Small ones are gathered, and written again with
         each other, until they are large together.
         """
-        size = self._size(content)
+        size = len(content.steps) * self._row_bytes  # of its records, about
+        size += sum(len(message.data) for message in content.messages)
         is_large = size >= CHUNK_BYTES / 2
         if is_large:
             self._keep_tail()
@@ -485,34 +375,75 @@ class LogStore:
         self._tail = []
         self._tail_bytes = 0.0
 
-    def _size(self, content: RunContent) -> float:
-        """Return how many bytes of records a content has, about."""
-        size = len(content.steps) * self._encoder.row_bytes
-        return size + sum(len(message.data) for message in content.messages)
-
     def _group(self, content: RunContent, *, is_separate: bool) -> RecordGroup:
-        """Return a content as chunks, where asked for with one for every channel."""
-        batches = self._encoder.batches(content, Grid(self._start_ns, self._plan.step_ns))
+        """Return a content as chunks, where asked for with one for every channel.
+
+        Without a compression they may share the store's memory: valid until the next call.
+        """
+        batches = self._batches(content)
         if not batches:
             return RecordGroup((), (), 0)
-        compression = self._options.compression
-        if is_separate and self._has_few_channels:
-            return separate_chunks(batches, compression, self._workers)
-        return one_chunk(batches, compression)
+        if is_separate and len(self._parts) * _FEW_CHANNEL_BYTES <= CHUNK_BYTES:
+            return separate_chunks(batches, self._compression, self._workers)
+        return one_chunk(batches, self._compression)
 
-    # --- hashes ---
+    def _batches(self, content: RunContent) -> list[MessageBatch]:
+        """Return the message records, one batch per channel that has any."""
+        selected = self._selected(content)
+        batches = []
+        for channel_id, part in self._parts.items():
+            rows = selected[part.channel.period]
+            batch = self._row_batch(channel_id, part, content, rows)
+            if len(batch.time_ns):
+                batches.append(batch)
+        messages: dict[int, list[WaitingMessage]] = {}
+        for message in content.messages:
+            messages.setdefault(message.channel_id, []).append(message)
+        grid = Grid(self._start_ns, self._plan.step_ns)
+        return batches + [_message_batch(waiting, grid) for waiting in messages.values()]
+
+    def _row_batch(
+        self, channel_id: int, part: Part, rows: RunContent, selected: RowSelection
+    ) -> MessageBatch:
+        time_ns = rows.time_ns[selected]
+        count = len(time_ns)
+        blank = self._blank.get(channel_id)
+        if blank is None or len(blank) < count:
+            blank = blank_records(channel_id, part.size, count)
+            self._blank[channel_id] = blank
+        records = blank[:count]
+        records["sequence"] = rows.steps[selected].astype(np.uint32)
+        unsigned_ns = time_ns.view(np.uint64)  # else numpy would convert each
+        records["log_time"] = unsigned_ns
+        records["publish_time"] = unsigned_ns
+        start = part.channel.start + part.columns.start
+        fill_values(records, rows.values[selected, start : start + part.size])
+        offsets = np.arange(0, records.nbytes, records.itemsize)
+        return MessageBatch(channel_id, records.view(np.uint8).data, time_ns, offsets)
+
+    def _selected(self, rows: RunContent) -> dict[int, RowSelection]:
+        """Return for each period the rows that components of that period record."""
+        selected: dict[int, RowSelection] = {}
+        for period in {channel.period for channel in self._plan.layout.channels}:
+            every = slice(len(rows.steps))
+            selected[period] = every if period == 1 else np.flatnonzero(rows.steps % period == 0)
+        return selected
 
     def _new_hashes(self) -> dict[str, hashlib._Hash]:
         return {channel.name: hashlib.sha256() for channel in self._plan.layout.channels}
 
     def _hashed(self, rows: RunContent) -> tuple[dict[str, hashlib._Hash], ...]:
         """Return the hashes with further rows."""
-        result = []
-        for hashes in self._hashes:
-            copied = {name: digest.copy() for name, digest in hashes.items()}
-            self._encoder.hash_into(copied, rows)
-            result.append(copied)
-        return tuple(result)
+        result = tuple(
+            {name: digest.copy() for name, digest in hashes.items()} for hashes in self._hashes
+        )
+        selected = self._selected(rows)
+        for channel in self._plan.layout.channels:
+            own = selected[channel.period]
+            data = hash_input(rows.time_ns[own], rows.values[own, channel.columns])
+            for hashes in result:
+                hashes[channel.name].update(data)
+        return result
 
 
 def _as_os_error(error: LogError | OSError) -> OSError:

@@ -7,7 +7,7 @@ import numpy as np
 from cosim.log.background import RunContent
 from cosim.log.files import UnfinishedLog
 from cosim.log.preamble import begin_file
-from cosim.log.store import LogOptions, LogStore
+from cosim.log.store import LogStore
 from tests.log.recordings import STEP_NS
 
 
@@ -29,7 +29,7 @@ def open_store(stream, plan, *, compression="none", metadata=None, attachments=(
     """Return the store of a new log, written to a stream."""
     options = {"metadata": metadata or {}, "attachments": attachments, "kinds": {}}
     head, parts, _ = begin_file(plan, **options)
-    store = LogStore(Unplaced(stream), plan, head, parts, LogOptions(compression))
+    store = LogStore(Unplaced(stream), plan, head, parts, compression=compression)
     store.begin(0)
     return store
 
