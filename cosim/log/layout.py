@@ -22,7 +22,6 @@ from dataclasses import asdict, dataclass, fields, replace
 from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Final, TypeAlias
 
 import numpy as np
@@ -96,29 +95,17 @@ def read_partial(
         declared[name] = part.channel
         kinds[name] = part.kind
     for name, channel in channels.items():
-        _check_declared(channel, declared[name])
+        whole = declared[name]
+        for signal in channel.signals:
+            if whole.by_name.get(signal.name) != signal:
+                raise ValueError(f"{name!r} does not declare the recorded signal {signal.name!r}")
+        if channel.period % whole.period:
+            raise ValueError(
+                f"{name!r} has a row every {channel.period} steps, which is not a multiple of the "
+                f"{whole.period} steps of its component"
+            )
     selection = RecordSelection(None if signals is None else tuple(signals), every)
     return PartialRecord(selection, declared), kinds
-
-
-def _check_declared(channel: Channel, declared: Channel) -> None:
-    """Check that a channel holds what its component declares.
-
-    Raises
-    ------
-    ValueError
-        If it does not.
-    """
-    for signal in channel.signals:
-        if declared.by_name.get(signal.name) != signal:
-            raise ValueError(
-                f"{channel.name!r} does not declare the recorded signal {signal.name!r}"
-            )
-    if channel.period % declared.period:
-        raise ValueError(
-            f"{channel.name!r} has a row every {channel.period} steps, which is not a multiple of "
-            f"the {declared.period} steps of its component"
-        )
 
 
 MOST_ELEMENTS = 4096
@@ -242,12 +229,10 @@ def read_part(metadata: Mapping[str, str]) -> Part:
     further: dict[str, Any] = {
         "continuous": bool(read_json(items.get("cosim.continuous", "false")))
     }
-    for own in _NAMED:
-        further[own] = tuple(read_json(items.get(f"cosim.{own}", "[]")))
+    further |= {own: tuple(read_json(items.get(f"cosim.{own}", "[]"))) for own in _NAMED}
     interface = replace(declared, **further)
-    first_column = read_number(items["cosim.start"])
-    period = period_ns // step_ns
-    channel = Channel(name, interface, first_column, period)
+    start_column = read_number(items["cosim.start"])
+    channel = Channel(name, interface, start_column, period_ns // step_ns)
     return Part(channel, items["cosim.kind"], step_ns, slice(start, stop))
 
 
@@ -356,8 +341,7 @@ def _read_signal(values: dict[str, Any]) -> Signal:
 
 
 def _read_base(values: Mapping[str, Any]) -> BaseUnit:
-    exponents = _tuple("exponents", values["exponents"])
-    return BaseUnit(**{**values, "exponents": exponents})
+    return BaseUnit(**{**values, "exponents": _tuple("exponents", values["exponents"])})
 
 
 def _tuple(name: str, values: Any) -> tuple[Any, ...]:
@@ -419,14 +403,13 @@ def field_tags(size: int) -> Mapping[str, NDArray[np.uint8]]:
         varint[:, :-1] |= 0x80
         varint.setflags(write=False)
         tags[name] = varint
-    return MappingProxyType(tags)
+    return tags
 
 
-@lru_cache(_CACHED_SIZES)
 def group_columns(size: int) -> Mapping[str, slice]:
     """Return which elements of a part stand in which group of fields."""
     found = {name: slice(start, min(size, stop)) for name, (start, stop) in _COLUMNS.items()}
-    return MappingProxyType({name: own for name, own in found.items() if own.start < own.stop})
+    return {name: own for name, own in found.items() if own.start < own.stop}
 
 
 def fill_values(records: Records, values: Matrix) -> None:
