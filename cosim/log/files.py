@@ -153,13 +153,9 @@ class _Reading(io.RawIOBase):
     def fileno(self) -> int:
         return self._descriptor
 
-    def tell(self) -> int:
-        return self._position
-
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        starts = {io.SEEK_SET: 0, io.SEEK_CUR: self._position}
-        start = starts.get(whence, os.fstat(self._descriptor).st_size)
-        self._position = start + offset
+        starts = (0, self._position, os.fstat(self._descriptor).st_size)
+        self._position = starts[whence] + offset
         return self._position
 
     def readinto(self, buffer: Any) -> int:
@@ -382,15 +378,14 @@ class UnfinishedLog:
         with refused(f"{self.path} cannot be created"):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             _remove_abandoned(self.path)
-            self._stream = self._create_locked()
-            while self._stream is None:  # another run took it for an abandoned one, and removed it
+            while self._stream is None:  # another run may take it for an abandoned one
                 self._stream = self._create_locked()
         return self._stream
 
     def _create_locked(self) -> io.RawIOBase | None:
         """Create the file and lock it; None: it is gone already."""
-        hidden_name = _hidden_name(self.path.name[:_KEPT_NAME], secrets.token_hex(4))
-        self._hidden_path = self.path.with_name(hidden_name)
+        name = f".{self.path.name[:_KEPT_NAME]}.{secrets.token_hex(4)}{_HIDDEN_SUFFIX}"
+        self._hidden_path = self.path.with_name(name)
         # After the path is known: an error or interrupt in here must not leave the file.
         stream = create(self._hidden_path)
         try:
@@ -504,11 +499,7 @@ def is_begun(path: Path) -> bool:
 def _hidden_paths(path: Path) -> list[Path]:
     """Return the hidden files that are to go to a path, or were."""
     kept_name = glob.escape(path.name[:_KEPT_NAME])
-    return list(path.parent.glob(_hidden_name(kept_name, "*")))
-
-
-def _hidden_name(kept_name: str, token: str) -> str:
-    return f".{kept_name}.{token}{_HIDDEN_SUFFIX}"
+    return list(path.parent.glob(f".{kept_name}.*{_HIDDEN_SUFFIX}"))
 
 
 def _remove_abandoned(path: Path) -> None:
