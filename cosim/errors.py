@@ -40,7 +40,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from difflib import get_close_matches
-from typing import Final
+from importlib import import_module
+from typing import Any, Final
 
 MOST_NAMES: Final = 100  # that a message about an unknown name lists
 
@@ -311,3 +312,29 @@ def option(name: str, key: str | None = None, value: str | None = None) -> str:
     if value is None:
         return f"{name}[{quoted(key)}]"
     return f"{name}={{{key!r}: {value!r}}}"
+
+
+def optional_library(name: str, what: str = "studies need", extra: str = "study") -> Any:
+    """Return an optional library, or a module of it.
+
+    Parameters
+    ----------
+    name : str
+    what : str
+        What needs it: ``plots need``.
+    extra : str
+        That has it.
+
+    Raises
+    ------
+    UsageError
+        If it is not installed.
+    """
+    try:
+        return import_module(name)
+    except ImportError as error:
+        package = name.partition(".")[0]
+        raise UsageError(
+            f"{what} {package}, which is not installed: pip install {package}, or, in a clone of "
+            f"cosim, pip install -e '.[{extra}]'"
+        ) from error

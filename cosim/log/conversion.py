@@ -25,7 +25,7 @@ from numpy.lib.format import write_array
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.recorded.joined_rows import TIME
-from cosim.errors import LogError, UsageError
+from cosim.errors import LogError, UsageError, optional_library
 from cosim.instants import NANOSECONDS
 from cosim.log.files import UnfinishedLog
 from cosim.log.text import LogChoice, csv_text, signal_metadata
@@ -65,7 +65,7 @@ def convert(choice: LogChoice, out: Path, *, force: bool = False) -> None:
             f"{out}: expected a file extension among {', '.join(_WRITERS)}, got {found}"
         )
     if write is write_parquet:
-        need_pyarrow()
+        _arrow()
     target = UnfinishedLog(out, force=force)
     target.check_free()
     try:
@@ -84,27 +84,13 @@ def write_csv(stream: BinaryIO, choice: LogChoice) -> None:
         stream.write(text.encode())
 
 
-def need_pyarrow() -> Any:
-    """Return pyarrow, by which Parquet is written.
-
-    Raises
-    ------
-    UsageError
-        If it is not installed.
-    """
-    try:
-        import pyarrow
-    except ImportError as error:
-        raise UsageError(
-            "Parquet files need pyarrow, which is not installed: pip install pyarrow, or, in a "
-            "clone of cosim, pip install -e '.[parquet]'"
-        ) from error
-    return pyarrow
+def _arrow() -> Any:
+    return optional_library("pyarrow", "Parquet files need", "parquet")
 
 
 def write_parquet(stream: BinaryIO, choice: LogChoice) -> None:
     """Write the signals as a table."""
-    arrow = need_pyarrow()
+    arrow = _arrow()
     from pyarrow import parquet
 
     fields = [arrow.field(TIME, arrow.float64(), nullable=False, metadata={"unit": "s"})]

@@ -17,9 +17,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.errors import UsageError
+from cosim.errors import UsageError, optional_library
 from cosim.files import file_type
-from cosim.log.conversion import need_pyarrow
 from cosim.scenario.data_files.text_table import read_texts
 from cosim.scenario.document.document import parse_value, plain
 from cosim.studies.contracts import RECORDING, SWAP
@@ -67,7 +66,7 @@ def read_cases(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _of_parquet(path: Path, file: str) -> list[tuple[str, Sequence[Any]]]:
-    need_pyarrow()
+    optional_library("pyarrow", "Parquet files need", "parquet")
     import pyarrow
     from pyarrow import parquet
 

@@ -31,11 +31,11 @@ from typing import Any, Final, NamedTuple, Self, TypeAlias, final
 
 import numpy as np
 
-from cosim.errors import DatasetError, command, flag, nearest, quoted
+from cosim.errors import DatasetError, command, flag, nearest, optional_library, quoted
 from cosim.log.metadata import read_json
 from cosim.studies.contracts import RECORDING, SWAP, MemberOutcome, StudyMember
 from cosim.studies.identity import LOG, MEMBER, StudyColumn, StudyIdentity, differences
-from cosim.studies.storage import Storage, library
+from cosim.studies.storage import Storage
 
 PART_SIZE: Final = 1000
 DESCRIPTION: Final = "study.json"
@@ -278,13 +278,13 @@ class StudyDataset:
         """
         schema = self._chosen(columns)
         tables = self.tables(schema.names, members)
-        return library("pyarrow").concat_tables([schema.empty_table(), *tables])
+        return optional_library("pyarrow").concat_tables([schema.empty_table(), *tables])
 
     def tables(
         self, columns: Iterable[str] | None = None, members: Collection[int] | None = None
     ) -> Iterator[Any]:
         """Yield what :meth:`read` returns part by part, in memory for one of them."""
-        arrow = library("pyarrow")
+        arrow = optional_library("pyarrow")
         schema = self._chosen(columns)
         names = [MEMBER, *(name for name in schema.names if name not in (MEMBER, LOG))]
         chosen = None if members is None else np.asarray(list(members), np.int64)
@@ -347,7 +347,7 @@ class StudyDataset:
         }
 
     def _table(self, rows: Iterable[Mapping[str, Any]]) -> Any:
-        return library("pyarrow").Table.from_pylist(list(rows), schema=self._schema)
+        return optional_library("pyarrow").Table.from_pylist(list(rows), schema=self._schema)
 
     def _line(self, row: Mapping[str, Any]) -> bytes:
         text = json.dumps(row)
@@ -392,7 +392,7 @@ class StudyDataset:
 
     def _chosen(self, columns: Iterable[str] | None) -> Any:
         """Return the schema of some columns."""
-        arrow = library("pyarrow")
+        arrow = optional_library("pyarrow")
         schema = self._schema.append(arrow.field(LOG, arrow.string()))
         names = schema.names if columns is None else list(columns)
         for name in names:
@@ -418,14 +418,18 @@ def _renumbered(
         found = planned(column.name, members[0], members[-1] + 1)
         values = found.tolist() if isinstance(found, np.ndarray) else found
         stored = [column.stored(values[number - members[0]]) for number in members]
-        again = library("pyarrow").array(stored, table.schema.field(column.name).type).to_pylist()
+        again = (
+            optional_library("pyarrow")
+            .array(stored, table.schema.field(column.name).type)
+            .to_pylist()
+        )
         for number, was, now in zip(members, table[column.name].to_pylist(), again, strict=True):
             if repr(was) != repr(now):
                 yield f"member {number} was {column.name} = {quoted(was)}, is {quoted(now)}"
 
 
 def _arrow_schema(columns: Iterable[StudyColumn]) -> Any:
-    arrow = library("pyarrow")
+    arrow = optional_library("pyarrow")
     fields = []
     for column in columns:
         kind = arrow.list_(arrow.float64())

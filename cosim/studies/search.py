@@ -17,9 +17,8 @@ from typing import Any, Final, TypeAlias, final
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.errors import UsageError, option, quoted
+from cosim.errors import UsageError, option, optional_library, quoted
 from cosim.studies.contracts import COMPLETE, MemberOutcome
-from cosim.studies.storage import library
 
 METHODS: Final = ("cobyqa", "nelder-mead", "global", "optuna")
 BATCHES: Final = ("global", "optuna")  # methods that try many points at a time
@@ -530,7 +529,7 @@ def _globally(trials: Trials, first: Vector) -> str:
 
 
 def _optuna() -> Any:
-    return library("optuna", "the method 'optuna' needs", "optuna")
+    return optional_library("optuna", "the method 'optuna' needs", "optuna")
 
 
 def _with_optuna(trials: Trials, known: Point) -> str:

@@ -11,14 +11,13 @@ import shutil
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from importlib import import_module
 from pathlib import Path
 from time import monotonic
-from typing import Any, Final, final
+from typing import Final, final
 from urllib.parse import unquote, urlsplit
 
 from cosim.arguments import path_argument
-from cosim.errors import DatasetError, DatasetWriteError, UsageError
+from cosim.errors import DatasetError, DatasetWriteError, UsageError, optional_library
 
 if sys.platform != "win32":
     import fcntl
@@ -27,23 +26,6 @@ _LOCK: Final = "_lock"
 _TEMPORARY: Final = ".cosim-tmp"
 _PERIOD: Final = 10.0  # [s] between two writes of a file to which nothing can be appended
 _RESUME: Final = "; what was recorded before is there: fix this and run the study again to continue"
-
-
-def library(name: str, what: str = "studies need", extra: str = "study") -> Any:
-    """Return an optional library.
-
-    Raises
-    ------
-    UsageError
-        If it is not installed.
-    """
-    try:
-        return import_module(name)
-    except ImportError as error:
-        raise UsageError(
-            f"{what} {name}, which is not installed: pip install {name}, or, in a clone of cosim, "
-            f"pip install -e '.[{extra}]'"
-        ) from error
 
 
 @final
@@ -74,8 +56,8 @@ class Storage:
         self._lock = -1
         self._later: dict[str, bytes] = {}  # files behind a URL that lines are appended to
         self._due = monotonic() + _PERIOD
-        library("pyarrow")  # with which parts are read and written
-        fsspec = library("fsspec")
+        optional_library("pyarrow")  # with which parts are read and written
+        fsspec = optional_library("fsspec")
         if self._folder is not None:
             self._files = fsspec.filesystem("file")
             self._label = self._root = str(self._folder)

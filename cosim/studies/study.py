@@ -6,11 +6,10 @@ from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, final
 
-from cosim.errors import UsageError
+from cosim.errors import UsageError, optional_library
 from cosim.studies.contracts import FAILED, StudyMember, member_of
 from cosim.studies.dataset import StudyDataset
 from cosim.studies.identity import ColumnRole
-from cosim.studies.storage import library
 
 if TYPE_CHECKING:
     import pandas
@@ -159,7 +158,7 @@ class Study:
         DatasetError
             If a column is unknown, or a file is damaged.
         """
-        library("pandas", "to_pandas needs", "pandas")
+        optional_library("pandas", "to_pandas needs", "pandas")
         names = None if columns is None else ["member", *columns]
         return self.table(names).to_pandas().set_index("member")
 
@@ -173,7 +172,7 @@ class Study:
         DatasetError
             If a column is unknown, or a file is damaged.
         """
-        module = library("polars", "to_polars needs", "polars")
+        module = optional_library("polars", "to_polars needs", "polars")
         frame: polars.DataFrame = module.from_arrow(self.table(columns))
         return frame
 

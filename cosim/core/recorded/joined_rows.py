@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from math import floor
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
@@ -21,7 +20,7 @@ from cosim.arrays import NAN, Matrix, Nanoseconds, Vector
 from cosim.core.recorded.selection import SelectedColumn, select_signals, selected_columns
 from cosim.core.recorded.signals import RecordedPort
 from cosim.core.recording import Recording, TimedRows
-from cosim.errors import UsageError
+from cosim.errors import optional_library
 from cosim.instants import NANOSECONDS
 from cosim.units import units_text
 
@@ -168,24 +167,24 @@ def numbered_instants(time_ns: Nanoseconds) -> NDArray[np.void]:
 
 def to_pandas(run: TableSource, signals: Iterable[str] | str | None) -> pandas.DataFrame:
     """Return chosen signals as a frame: a column an element, the index is the time [s]."""
-    library = _library("pandas")
+    module = optional_library("pandas", "to_pandas needs", "pandas")
     _, columns, table = _chosen(run, signals)
-    index = library.Index(_seconds(table), name=TIME)
+    index = module.Index(_seconds(table), name=TIME)
     names = [column.name for column in columns]
-    return library.DataFrame(table.values, index=index, columns=names)
+    return module.DataFrame(table.values, index=index, columns=names)
 
 
 def to_polars(run: TableSource, signals: Iterable[str] | str | None) -> polars.DataFrame:
     """Return chosen signals as a frame: a column an element, after that of the time [s]."""
-    library = _library("polars")
+    module = optional_library("polars", "to_polars needs", "polars")
     _, columns, table = _chosen(run, signals)
-    series = [library.Series(TIME, _seconds(table))]
+    series = [module.Series(TIME, _seconds(table))]
     for number, column in enumerate(columns):
-        values = library.Series(column.name, np.ascontiguousarray(table.values[:, number]))
+        values = module.Series(column.name, np.ascontiguousarray(table.values[:, number]))
         if table.missing is not None and table.missing[:, number].any():
             values = values.scatter(np.flatnonzero(table.missing[:, number]), None)
         series.append(values)
-    return library.DataFrame(series)
+    return module.DataFrame(series)
 
 
 def to_xarray(run: TableSource, signals: Iterable[str] | str | None) -> xarray.Dataset:
@@ -193,7 +192,7 @@ def to_xarray(run: TableSource, signals: Iterable[str] | str | None) -> xarray.D
 
     Their attributes have the units, and what the signals are.
     """
-    library = _library("xarray")
+    module = optional_library("xarray", "to_xarray needs", "xarray")
     selection, columns, table = _chosen(run, signals)
     places = {(column.component, column.column): i for i, column in enumerate(columns)}
     variables: dict[str, Any] = {}
@@ -203,7 +202,7 @@ def to_xarray(run: TableSource, signals: Iterable[str] | str | None) -> xarray.D
         values = table.values[:, own[0] if port.size == 1 else own]
         variables[name] = (dimensions, values, _attributes(port))
     time = (TIME, _seconds(table), {"units": "s", "long_name": "simulation time"})
-    return library.Dataset(variables, {TIME: time}, {"source": run.label, "status": run.status})
+    return module.Dataset(variables, {TIME: time}, {"source": run.label, "status": run.status})
 
 
 def _chosen(
@@ -236,13 +235,3 @@ def _attributes(port: RecordedPort) -> dict[str, str]:
     attributes = {"units": units_text(port.measures), "long_name": signal.description}
     attributes |= {"role": signal.role, "variability": signal.variability, "type": signal.type}
     return {key: text for key, text in attributes.items() if text}
-
-
-def _library(name: str) -> Any:
-    try:
-        return import_module(name)
-    except ImportError as error:
-        raise UsageError(
-            f"to_{name} needs {name}, which is not installed: pip install {name}, or, in a clone "
-            f"of cosim, pip install -e '.[{name}]'"
-        ) from error

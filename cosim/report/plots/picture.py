@@ -14,7 +14,7 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from cosim.errors import UsageError
+from cosim.errors import UsageError, optional_library
 from cosim.files import check_writable
 from cosim.filters import collected_warnings
 from cosim.report.printable import printable_line
@@ -296,11 +296,4 @@ def _format(out: Path) -> str:
 
 
 def _new_figure(**options: Any) -> Any:
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise UsageError(
-            "plots need matplotlib, which is not installed: pip install matplotlib, or, "
-            "in a clone of cosim, pip install -e '.[plot]'"
-        ) from error
-    return Figure(**options)
+    return optional_library("matplotlib.figure", "plots need", "plot").Figure(**options)
