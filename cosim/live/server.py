@@ -23,15 +23,21 @@ from cosim.arrays import Matrix, Nanoseconds
 from cosim.core.contracts import Block
 from cosim.core.recorded.selection import is_pattern, select_signals
 from cosim.core.recorded.signals import find_channel
-from cosim.core.recorders import Nothing, Tee
-from cosim.core.recording import MessageLevel, Plan, Recorder, SignalEvent, Substep
+from cosim.core.recorders import Tee
+from cosim.core.recording import Plan, Recorder
 from cosim.core.signals import Channel
 from cosim.errors import UsageError
 from cosim.instants import StepNs
 from cosim.live.gate import PATIENCE, Gate
 from cosim.log.layout import Part, blank_records, fill_values, split_channel
-from cosim.log.messages import encode_event, encode_log, encode_substep
-from cosim.log.preamble import EVENT_TOPIC, LOG_TOPIC, SCHEMAS, STEP_TOPIC, part_schemas
+from cosim.log.preamble import (
+    EVENT_TOPIC,
+    LOG_TOPIC,
+    SCHEMAS,
+    STEP_TOPIC,
+    MessageEncoder,
+    part_schemas,
+)
 
 if TYPE_CHECKING:
     from foxglove import Channel as SdkChannel
@@ -346,7 +352,7 @@ def _encoded(rows: Matrix) -> list[bytes]:
 
 
 @final
-class LiveRecorder(Nothing):
+class LiveRecorder(MessageEncoder):
     """Publishes rows, messages, events and substeps of a run; keeps nothing.
 
     Parameters
@@ -401,18 +407,7 @@ class LiveRecorder(Nothing):
             self._server.add_rows(name, block.time_ns[kept], own_rows)
         self._server.send()
 
-    def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
+    def _add_message(self, topic: str, time_ns: int, data: bytes) -> None:
         """Publish a message with the next rows; nothing of a run that could not begin."""
-        self._add(LOG_TOPIC, time_ns, encode_log(time_ns, level, source, text))
-
-    def event(self, event: SignalEvent) -> None:
-        """Publish a jump with the next rows."""
-        self._add(EVENT_TOPIC, event.time_ns, encode_event(event))
-
-    def substep(self, substep: Substep) -> None:
-        """Publish a substep with the next rows."""
-        self._add(STEP_TOPIC, substep.begin_ns, encode_substep(substep))
-
-    def _add(self, topic: str, time_ns: int, data: bytes) -> None:
         if self._channels:
             self._server.add_message(topic, time_ns, data)

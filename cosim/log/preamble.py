@@ -7,6 +7,7 @@ values that the caller adds, too.
 from __future__ import annotations
 
 import json
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -14,7 +15,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from cosim.core.recording import Plan
+from cosim.core.recording import MessageLevel, Plan, Recorder, SignalEvent, Substep
 from cosim.instants import NANOSECONDS
 from cosim.log.layout import (
     DECLARED,
@@ -38,6 +39,9 @@ from cosim.log.messages import (
     MessageSchema,
     component_schema,
     element_comments,
+    encode_event,
+    encode_log,
+    encode_substep,
     identifiers,
     part_comment,
 )
@@ -96,6 +100,26 @@ SCHEMAS: Mapping[str, MessageSchema] = {
     EVENT_TOPIC: EVENT_SCHEMA,
     STEP_TOPIC: STEP_SCHEMA,
 }
+
+
+class MessageEncoder(Recorder):
+    """Takes messages, events and substeps as the messages of their topics; a subclass has rows."""
+
+    def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
+        """Take a message of the run or of a component at a simulation time [ns]."""
+        self._add_message(LOG_TOPIC, time_ns, encode_log(time_ns, level, source, text))
+
+    def event(self, event: SignalEvent) -> None:
+        """Take a jump of a signal."""
+        self._add_message(EVENT_TOPIC, event.time_ns, encode_event(event))
+
+    def substep(self, substep: Substep) -> None:
+        """Take a substep of a loop."""
+        self._add_message(STEP_TOPIC, substep.begin_ns, encode_substep(substep))
+
+    @abstractmethod
+    def _add_message(self, topic: str, time_ns: int, data: bytes) -> None:
+        """Take a message of a topic."""
 
 
 @dataclass(frozen=True, slots=True)

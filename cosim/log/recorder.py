@@ -12,15 +12,14 @@ from typing import Any, Final, Self, final
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block
 from cosim.core.recorders import end_of_run
-from cosim.core.recording import MessageLevel, Plan, RowsUnderWay, SignalEvent, Substep
+from cosim.core.recording import Plan, RowsUnderWay
 from cosim.errors import LogError, LogWriteError, RunError
 from cosim.instants import NANOSECONDS, Grid
 from cosim.interrupts import uninterrupted
 from cosim.log.background import FLUSH_INTERVAL, BackgroundWriter, WaitingMessage
 from cosim.log.chunks import Compression
 from cosim.log.files import Rotation, UnfinishedLog
-from cosim.log.messages import encode_event, encode_log, encode_substep
-from cosim.log.preamble import EVENT_TOPIC, LOG_TOPIC, STEP_TOPIC, Attachment, begin_file
+from cosim.log.preamble import EVENT_TOPIC, STEP_TOPIC, Attachment, MessageEncoder, begin_file
 from cosim.log.reader import Log
 from cosim.log.store import LogStore, check_place
 
@@ -28,7 +27,7 @@ _GONE: Final = (errno.ENOENT, errno.ESTALE)  # the file at its path is not that 
 
 
 @final
-class McapRecorder:
+class McapRecorder(MessageEncoder):
     """Record a run to an MCAP file.
 
     The file is created by :meth:`begin` under a hidden name, is at its path from the first
@@ -190,7 +189,7 @@ class McapRecorder:
             interval=self._flush,
         )
         for topic, time_ns, message in self._early:
-            self._write_message(topic, time_ns, message)
+            self._add_message(topic, time_ns, message)
 
     def size_bound(self, steps: int) -> int:
         """Return how large the file can become in a run of so many steps [bytes].
@@ -229,19 +228,7 @@ class McapRecorder:
         assert self._writer is not None
         self._writer.follow(rows)
 
-    def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
-        """Record a message of the run or of a component at a simulation time [ns]."""
-        self._write_message(LOG_TOPIC, time_ns, encode_log(time_ns, level, source, text))
-
-    def event(self, event: SignalEvent) -> None:
-        """Record a jump of a signal."""
-        self._write_message(EVENT_TOPIC, event.time_ns, encode_event(event))
-
-    def substep(self, substep: Substep) -> None:
-        """Record a substep of a loop."""
-        self._write_message(STEP_TOPIC, substep.begin_ns, encode_substep(substep))
-
-    def _write_message(self, topic: str, time_ns: int, data: bytes) -> None:
+    def _add_message(self, topic: str, time_ns: int, data: bytes) -> None:
         if self._writer is None:  # not begun, or ended: after an error a run may have more to say
             self._early.append((topic, time_ns, data))
             return
