@@ -29,14 +29,14 @@ from cosim.core.signals import Channel
 from cosim.errors import UsageError
 from cosim.instants import StepNs
 from cosim.live.gate import PATIENCE, Gate
-from cosim.log.layout import Part, blank_records, fill_values, split_channel
+from cosim.log.layout import Part, blank_records, fill_values
 from cosim.log.preamble import (
     EVENT_TOPIC,
     LOG_TOPIC,
     SCHEMAS,
     STEP_TOPIC,
     MessageEncoder,
-    part_schemas,
+    parts_of,
 )
 
 if TYPE_CHECKING:
@@ -205,11 +205,8 @@ class LiveServer:
             If a component or signal to publish is not there.
         """
         self._check_free()
-        parts: list[Part] = []
-        for name, channel in channels.items():
-            parts += split_channel(channel, kind=kinds.get(name, ""), step_ns=step_ns)
         wanted = _wanted(self.signals, channels, source)
-        for part, schema in zip(parts, part_schemas(parts), strict=True):
+        for part, schema in parts_of(channels.values(), kinds, step_ns):
             if not self.signals or any(_holds(part, *columns) for columns in wanted):
                 self._parts.append((part, self._topic(f"/{part.title}", *schema, part.metadata)))
         for name in topics:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, TypeAlias
@@ -16,7 +16,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from cosim.core.recording import MessageLevel, Plan, Recorder, SignalEvent, Substep
-from cosim.instants import NANOSECONDS
+from cosim.core.signals import Channel
+from cosim.instants import NANOSECONDS, StepNs
 from cosim.log.layout import (
     DECLARED,
     RECORD,
@@ -131,16 +132,29 @@ class Attachment:
     data: bytes
 
 
-def part_schemas(parts: Sequence[Part]) -> list[tuple[str, bytes]]:
-    """Return name and FileDescriptorSet of the messages of all parts of a log."""
+def parts_of(
+    channels: Iterable[Channel], kinds: Mapping[str, str], step_ns: StepNs
+) -> list[tuple[Part, tuple[str, bytes]]]:
+    """Return the parts of components in a log; of each name and FileDescriptorSet of its messages.
+
+    Parameters
+    ----------
+    channels : iterable of Channel
+    kinds : mapping of component name to str
+    step_ns : int or Fraction
+        Communication step [ns].
+    """
+    parts: list[Part] = []
+    for channel in channels:
+        parts += split_channel(channel, kind=kinds.get(channel.name, ""), step_ns=step_ns)
     messages = identifiers([part.title for part in parts])
-    schemas = []
+    found = []
     for part, message in zip(parts, messages, strict=True):
         title = part_comment(part)
         comments = element_comments(part)
         schema = component_schema(message, part.elements, title=title, comments=comments)
-        schemas.append((f"cosim.{message}", schema))
-    return schemas
+        found.append((part, (f"cosim.{message}", schema)))
+    return found
 
 
 def begin_file(
@@ -165,12 +179,8 @@ def begin_file(
         ``EVENT_TOPIC``, ``STEP_TOPIC``, where there are such messages.
     """
     head = FileHead(library=library_name())
-    parts: list[Part] = []
-    for channel in plan.layout.channels:
-        kind = kinds.get(channel.name, "")
-        parts += split_channel(channel, kind=kind, step_ns=plan.step_ns)
     numbered = {}
-    for part, schema in zip(parts, part_schemas(parts), strict=True):
+    for part, schema in parts_of(plan.layout.channels, kinds, plan.step_ns):
         number = head.channel(f"/{part.title}", schema=schema, metadata=part.metadata)
         numbered[number] = part
     topic_ids = {}

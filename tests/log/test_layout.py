@@ -29,7 +29,7 @@ from cosim.log.layout import (
 )
 from cosim.log.messages import component_schema, identifiers, message_paths
 from cosim.log.metadata import add_checksum
-from cosim.log.preamble import part_schemas
+from cosim.log.preamble import parts_of
 from cosim.units import BASE, BaseUnit
 from tests.log.crafting import without_checksum
 from tests.log.decoding import message_class
@@ -241,10 +241,9 @@ INTERFACE = Interface(
 )
 
 
-def schema_of(part):
-    """Return the FileDescriptorSet of a part."""
-    ((_, data),) = part_schemas([part])
-    return data
+def schemas_of(channel, kind=""):
+    """Return the FileDescriptorSet of every part of a channel."""
+    return [data for _, (_, data) in parts_of([channel], {channel.name: kind}, 1)]
 
 
 def comments(data):
@@ -259,8 +258,8 @@ def comments(data):
 
 def test_every_field_has_a_comment_with_name_unit_role_and_description():
     """The paths are those of descriptor.proto: 4 a message of the file, 2 a field of it."""
-    (part,) = split_channel(Channel("plant", INTERFACE, 0), kind="descriptor", step_ns=1)
-    found, message = comments(schema_of(part))
+    (schema,) = schemas_of(Channel("plant", INTERFACE, 0), "descriptor")
+    found, message = comments(schema)
     assert found == {
         (4, 0): " plant, descriptor\n",
         (4, 0, 2, 0): " u [N], input: force on the mass\n",
@@ -277,9 +276,7 @@ def test_parts_of_a_wide_component_have_the_comments_of_their_own_elements():
     """The second part begins inside a signal."""
     odd = Signal("u", description="a\ud800b")  # a text of protobuf cannot have it
     wide = Interface((odd,), (Signal("y", 5000, unit="K", description="temperatures"),))
-    parts = split_channel(Channel("wide", wide, 0), kind="", step_ns=1)
-    first, _ = comments(schema_of(parts[0]))
-    second, _ = comments(schema_of(parts[1]))
+    (first, _), (second, _) = map(comments, schemas_of(Channel("wide", wide, 0)))
     assert first[4, 0, 2, 0] == " u, input: a?b\n"
     assert first[4, 0, 2, 1] == " y[0] [K], output: temperatures\n"
     assert second[4, 0, 2, 0] == " y[4095] [K], output\n"
