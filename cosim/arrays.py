@@ -14,6 +14,15 @@ Nanoseconds: TypeAlias = NDArray[np.int64]  # shape (n,)
 
 # the one NaN: equal runs have equal bits
 NAN = float(np.uint64(0x7FF8000000000000).view(np.float64))
+# the NaN of an empty cell in a recording of another tool: there is no row of the signal
+ABSENT = float(np.uint64(0x7FF80000000007A2).view(np.float64))
+_ABSENT_BITS = np.float64(ABSENT).view(np.int64)
+
+
+def is_absent(values: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which values are those of empty cells; any other NaN is a value."""
+    absent: NDArray[np.bool_] = np.ascontiguousarray(values).view(np.int64) == _ABSENT_BITS
+    return absent
 
 
 def frozen(values: ArrayLike, ndim: int) -> NDArray[np.float64]:
