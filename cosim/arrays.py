@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+_Scalar = TypeVar("_Scalar", bound=np.generic)
 
 Vector: TypeAlias = NDArray[np.float64]  # shape (n,)
 Matrix: TypeAlias = NDArray[np.float64]  # shape (n, m)
@@ -49,7 +51,7 @@ def as_columns(values: NDArray[np.float64]) -> Matrix:
     return values[:, np.newaxis] if values.ndim == 1 else values
 
 
-def read_only(array: NDArray[np.float64]) -> NDArray[np.float64]:
+def read_only(array: NDArray[_Scalar]) -> NDArray[_Scalar]:
     """Return a view of an array that cannot be written to."""
     view = array.view()
     view.flags.writeable = False

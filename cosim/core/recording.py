@@ -261,7 +261,7 @@ class Recording(Protocol):
         ...
 
     def time_ns(self, component: str) -> Nanoseconds:
-        """Return the instants of a component's rows, shape (N,) [ns]."""
+        """Return the instants of the rows of a component, or of a signal, shape (N,) [ns]."""
         ...
 
     @property

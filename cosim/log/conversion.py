@@ -1,9 +1,9 @@
 """A log as a file of another format: written under a hidden name, then moved to its own.
 
 Tables join the signals on time, as :mod:`cosim.core.recorded.joined_rows` says; Parquet is written
-a group of rows at a time. Every column holds doubles, null where a component has no row; unit,
-description and role of the signal are metadata of its field. Dictionaries are not used: they would
-merge all NaN, and both zeros.
+a group of rows at a time. Every column holds doubles, null where a signal has no row; that of the
+times, whole ns where doubles in s would round them. Unit, description and role of the signal are
+metadata of its field. Dictionaries are not used: they would merge all NaN, and both zeros.
 
 Files of arrays (npz, MAT) have every signal with the instants of its component. For npz the rows of
 one component at a time are in memory, for MAT those of all. All of them are read again by
@@ -25,8 +25,8 @@ from numpy.lib.format import write_array
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.recorded.joined_rows import TIME
-from cosim.errors import LogError, UsageError, optional_library
-from cosim.instants import NANOSECONDS
+from cosim.errors import LogError, UsageError, optional_library, warn
+from cosim.instants import EXACT, NANOSECONDS
 from cosim.log.files import UnfinishedLog
 from cosim.log.text import LogChoice, csv_text, signal_metadata
 from cosim.units import units_text
@@ -93,7 +93,9 @@ def write_parquet(stream: BinaryIO, choice: LogChoice) -> None:
     arrow = _arrow()
     from pyarrow import parquet
 
-    fields = [arrow.field(TIME, arrow.float64(), nullable=False, metadata={"unit": "s"})]
+    is_in_s = _is_exact_in_s(choice)
+    kind, unit = (arrow.float64(), "s") if is_in_s else (arrow.int64(), "ns")
+    fields = [arrow.field(TIME, kind, nullable=False, metadata={"unit": unit})]
     for column in choice.columns:
         about = signal_metadata(column.signal, column.unit)
         fields.append(arrow.field(column.name, arrow.float64(), metadata=about))
@@ -104,15 +106,23 @@ def write_parquet(stream: BinaryIO, choice: LogChoice) -> None:
         for part in choice.joined():
             for begin in range(0, len(part), _MOST_ROWS):
                 rows = part.part(begin, begin + _MOST_ROWS)
-                arrays = [arrow.array(rows.time_ns / NANOSECONDS)]
+                times = rows.time_ns / NANOSECONDS if is_in_s else rows.time_ns
+                arrays = [arrow.array(times)]
                 for number, values in enumerate(np.ascontiguousarray(rows.values.T)):
                     missing = None if rows.missing is None else rows.missing[:, number]
                     arrays.append(arrow.array(values, mask=missing, from_pandas=False))
                 writer.write_batch(arrow.record_batch(arrays, schema=schema))
 
 
+def _is_exact_in_s(choice: LogChoice) -> bool:
+    """Return whether a double has every time in s to the ns, as it has not since 1970."""
+    return choice.run.end_ns < EXACT
+
+
 def _by_component(choice: LogChoice) -> Iterator[tuple[str, Vector, dict[str, Matrix]]]:
     """Yield each component, its instants [s], and the values of its chosen signals."""
+    if not _is_exact_in_s(choice):
+        warn([f"{choice.run.label}: times rounded to doubles in s; .csv and .parquet have the ns"])
     names: dict[str, list[str]] = {}
     for name, port in choice.selection.items():
         names.setdefault(port.channel.name, []).append(name)

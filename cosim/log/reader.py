@@ -326,18 +326,8 @@ class Log(RecordedRun):
     def _timed_rows(self, channel: Channel) -> TimedRows:
         return self._rows.of(channel.name)
 
-    def time_ns(self, component: str) -> Nanoseconds:
-        """Return the instants of a component's rows, shape (N,) [ns]; read-only.
-
-        Raises
-        ------
-        UnknownSignalError
-            If there is no such component; names the nearest.
-        LogError
-            If the file is damaged.
-        """
-        self._check_known(component)
-        return self._rows.of(component, slice(0, 0))[0]
+    def _instants(self, channel: Channel) -> Nanoseconds:
+        return self._rows.of(channel.name, slice(0, 0))[0]
 
     def columns(self, component: str, columns: slice) -> Matrix:
         """Return some columns of a component's rows, shape (N, columns); read-only."""

@@ -102,7 +102,7 @@ def stacked_rows_of(
 def _rows_in_time(
     recording: Recording, port: str, like: Sequence[Unit] | None = None
 ) -> tuple[Nanoseconds, Matrix]:
-    times = recording.time_ns(Port.parse(port).component)
+    times = recording.time_ns(port)
     return times, rows_of(recording, port, like=like)
 
 

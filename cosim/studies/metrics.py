@@ -412,10 +412,17 @@ class Metrics:
         """
         self.check(recording.channels, source=recording.label)
 
-        def components_of(reduction: Reduction) -> frozenset[str]:
-            return frozenset(one.name for one in channels_of(reduction, recording.channels))
+        def timed_by(reduction: Reduction) -> frozenset[str]:
+            """Return what has the instants: components, and signals that may have own ones."""
+            channels = recording.channels
+            gaps = [
+                name
+                for name in reduction.signals
+                if find_element(channels, name, recording.label).signal.optional
+            ]
+            return frozenset([*gaps, *(one.name for one in channels_of(reduction, channels))])
 
-        groups = self.grouped(components_of).items()
+        groups = self.grouped(timed_by).items()
         return self.values((own, _reduced(recording, names, own.values())) for names, own in groups)
 
     def grouped(self, key: Callable[[Reduction], _Key]) -> dict[_Key, dict[int, Reduction]]:
@@ -515,16 +522,15 @@ def bind(reductions: Iterable[Reduction], column_of: Callable[[str], int]) -> Ro
 
 
 def _reduced(
-    recording: Recording, components: Collection[str], reductions: Collection[Reduction]
+    recording: Recording, timed_by: Collection[str], reductions: Collection[Reduction]
 ) -> RowReductions:
-    """Return reductions of the rows at the instants that all components have."""
-    times = [recording.time_ns(name) for name in components]
+    """Return reductions of the rows at the instants that components and signals share."""
+    times = [recording.time_ns(name) for name in timed_by]
     time_ns = np.ascontiguousarray(reduce(np.intersect1d, times))
     columns = {name: column for column, name in enumerate(_signals_of(reductions))}
     rows = np.empty((len(time_ns), max(len(columns), 1)))
     for name, column in columns.items():
-        component = find_element(recording.channels, name, recording.label).channel.name
-        rows[:, column] = recording[name][np.searchsorted(recording.time_ns(component), time_ns)]
+        rows[:, column] = recording[name][np.searchsorted(recording.time_ns(name), time_ns)]
     bound = bind(reductions, columns.__getitem__)
     bound.begin(recording.step_ns)
     bound.add(time_ns, rows)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import NAN, Matrix, Nanoseconds, Vector
+from cosim.arrays import NAN, Matrix, Nanoseconds, Vector, is_absent
 from cosim.core.recorded.selection import SelectedColumn, select_signals, selected_columns
 from cosim.core.recorded.signals import RecordedPort
 from cosim.core.recording import Recording, TimedRows
@@ -43,7 +43,7 @@ class JoinedRows:
     values : Matrix, shape (n, columns)
         NaN where there is no value.
     missing : bool array, shape (n, columns), or None
-        Where the component of a column has no row; None: nowhere.
+        Where a column has no row: its component has none, or a cell is empty; None: nowhere.
     """
 
     time_ns: Nanoseconds
@@ -85,6 +85,7 @@ def joined_rows(run: TableSource, columns: Sequence[SelectedColumn]) -> Iterator
         If a file is damaged.
     """
     components = list(dict.fromkeys(column.component for column in columns))
+    gaps = [number for number, column in enumerate(columns) if column.signal.optional]
     places = [_places(columns, name) for name in components]
     waiting: dict[str, list[TimedRows]] = {name: [] for name in components}
     # none of a component that is before this instant [ns] is still to come: they are periodic
@@ -98,8 +99,24 @@ def joined_rows(run: TableSource, columns: Sequence[SelectedColumn]) -> Iterator
         end = min(whole_before.values())
         if end > taken_before:
             taken_before = end
-            yield from _join([_take(own, end) for own in waiting.values()], places, len(columns))
-    yield from _join([_take(own, np.inf) for own in waiting.values()], places, len(columns))
+            parts = [_take(own, end) for own in waiting.values()]
+            yield from _without_gaps(_join(parts, places, len(columns)), gaps)
+    parts = [_take(own, np.inf) for own in waiting.values()]
+    yield from _without_gaps(_join(parts, places, len(columns)), gaps)
+
+
+def _without_gaps(parts: Iterable[JoinedRows], gaps: Sequence[int]) -> Iterator[JoinedRows]:
+    """Say where cells are empty of columns that may have gaps; leave out rows of nothing else."""
+    for part in parts:
+        is_empty = is_absent(part.values[:, gaps])
+        if not is_empty.any():
+            yield part
+            continue
+        missing = np.zeros(part.values.shape, np.bool_) if part.missing is None else part.missing
+        missing[:, gaps] |= is_empty
+        there = ~missing.all(axis=1)
+        if there.any():
+            yield JoinedRows(part.time_ns[there], part.values[there], missing[there])
 
 
 def _places(

@@ -19,13 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arguments import number_argument
-from cosim.arrays import Mask, Matrix, Nanoseconds, Vector
+from cosim.arrays import Mask, Matrix, Nanoseconds, Vector, as_columns, is_absent, read_only
 from cosim.core.port import Port
 from cosim.core.recorded.joined_rows import to_pandas, to_polars, to_xarray
 from cosim.core.recorded.partial import PartialRecord, declared_channels, partial_of
 from cosim.core.recorded.signals import (
     WARNINGS,
     DistinctWarnings,
+    RecordedPort,
     RunMessage,
     find_channel,
     find_signal,
@@ -78,7 +79,17 @@ class RecordedRun(Mapping[str, NDArray[np.float64]], Recording):
             return self._stacked(signal)
         port = find_signal(self.channels, signal, source=self.label)
         values = self.columns(port.channel.name, port.columns)
+        is_there = self._is_there(port)
+        if is_there is not None:
+            values = read_only(values[is_there])
         return values[:, 0] if port.size == 1 else values
+
+    def _is_there(self, port: RecordedPort) -> Mask | None:
+        """Return which rows of its component a signal has, too; None: all."""
+        if not port.signal.optional:
+            return None
+        is_empty: Mask = np.all(is_absent(self.columns(port.channel.name, port.columns)), axis=1)
+        return ~is_empty if is_empty.any() else None
 
     def _stacked(self, signals: Sequence[str | Port]) -> Matrix:
         """Return several signals of the same instants side by side.
@@ -94,18 +105,15 @@ class RecordedRun(Mapping[str, NDArray[np.float64]], Recording):
                 f"{self.label}: expected a signal name, or a list of names, got {signals!r}"
             )
         ports = [find_signal(self.channels, signal, source=self.label) for signal in signals]
-        times = self.time_ns(ports[0].channel.name)
-        for signal, port in zip(signals[1:], ports[1:], strict=True):
-            other_times = self.time_ns(port.channel.name)
+        times, *others = map(self._times_of, ports)
+        for signal, other_times in zip(signals[1:], others, strict=True):
             if not np.array_equal(times, other_times):
                 raise LogError(
                     f"{self.label}: expected signals with the same instants, got '{signals[0]}' "
                     f"with {len(times)} rows and '{signal}' with {len(other_times)}; read each "
                     "with its own time()"
                 )
-        values = np.hstack([self.columns(port.channel.name, port.columns) for port in ports])
-        values.flags.writeable = False
-        return values
+        return read_only(np.hstack([as_columns(self[signal]) for signal in signals]))
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.signals)
@@ -159,17 +167,28 @@ class RecordedRun(Mapping[str, NDArray[np.float64]], Recording):
         """Return some columns of :meth:`rows`."""
         return self.rows(component)[:, columns]
 
+    def _instants(self, channel: Channel) -> Nanoseconds:
+        """Return the instants of a component's rows [ns], read-only."""
+        return self._timed_rows(channel)[0]
+
     def time_ns(self, component: str) -> Nanoseconds:
-        """Return the instants of a component's rows, shape (N,) [ns]; read-only.
+        """Return the instants of a component's or signal's rows, shape (N,) [ns]; read-only.
 
         Raises
         ------
         UnknownSignalError
-            If there is no such component; names the nearest.
+            If there is no such component, signal or element; names the nearest.
         LogError
             If a file is damaged.
         """
-        return self._timed_rows(find_channel(self.channels, component, source=self.label))[0]
+        if isinstance(component, str) and component not in self.channels and "." in component:
+            return self._times_of(find_signal(self.channels, component, source=self.label))
+        return self._instants(find_channel(self.channels, component, source=self.label))
+
+    def _times_of(self, port: RecordedPort) -> Nanoseconds:
+        times = self._instants(port.channel)
+        is_there = self._is_there(port)
+        return times if is_there is None else read_only(times[is_there])
 
     def time(self, name: str) -> Vector:
         """Return the instants of a signal's or component's rows, shape (N,) [s].
@@ -179,9 +198,6 @@ class RecordedRun(Mapping[str, NDArray[np.float64]], Recording):
         UnknownSignalError
             If there is no such component, signal or element; names the nearest.
         """
-        if isinstance(name, str) and "." in name:
-            port = find_signal(self.channels, name, source=self.label)
-            return self.time_ns(port.channel.name) / 1e9
         return self.time_ns(name) / 1e9
 
     @property

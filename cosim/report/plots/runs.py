@@ -163,7 +163,7 @@ def curves_of(recording: Recording, port: str, *, run: str = "") -> list[Curve]:
         If there is no such component, signal or element.
     """
     elements = zip(_empty_curves(recording, port), rows_of(recording, port).T, strict=True)
-    times = recording.time_ns(Port.parse(port).component) / 1e9
+    times = recording.time_ns(port) / 1e9
     return [replace(curve, times=times, values=values, run=run) for curve, values in elements]
 
 

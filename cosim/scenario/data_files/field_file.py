@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal, NamedTuple, TypeAli
 import numpy as np
 from pydantic import AfterValidator, Field, PlainValidator, StrictStr, ValidationError
 
-from cosim.arrays import NAN, Matrix, Vector
+from cosim.arrays import NAN, Matrix, Nanoseconds, Vector
 from cosim.blocks.field_data import FieldData, FieldSignal, elements_named
 from cosim.errors import UsageError, option, quoted, warn
 from cosim.files import expanded
@@ -229,7 +229,8 @@ def field_data(
     """Read samples as :func:`read_field_data` does; whoever takes them shows their diagnostics.
 
     ``unread`` takes the signals that cannot be read, and why, where that shall be no error. With
-    ``jumps`` the rows of a table at one time are those of a jump.
+    ``jumps`` the rows of a table at one time are those of a jump, its times are whole ns, and NaN
+    is a value, which an empty cell is not.
     """
     path = expanded(path)
     form = form or FieldForm.model_validate({"path": str(path)})
@@ -252,6 +253,8 @@ def field_data(
             unread[name] = str(error).removeprefix(f"{table.label}, ")
             continue
         values = _without_codes(np.stack(columns, axis=1)[times.rows], form.missing)
+        if not jumps:
+            values[np.isnan(values)] = NAN
         unit = unit_of(table.label, name, parts)
         signals.append(FieldSignal(name, unit, values, tuple(part.text for part in parts)))
     return FieldData(
@@ -261,6 +264,7 @@ def field_data(
         (*notes, *times.notes),
         restart=times.restart,
         reading=tuple(table.reading),
+        time_ns=times.time_ns,
     )
 
 
@@ -369,6 +373,7 @@ class _Times(NamedTuple):
     rows: Sequence[int]
     restart: tuple[float, str] | None
     notes: tuple[str, ...]
+    time_ns: Nanoseconds | None
 
 
 def _times(table: DataTable, clock: Header, form: FieldForm, *, jumps: bool) -> _Times:
@@ -407,9 +412,11 @@ def _times(table: DataTable, clock: Header, form: FieldForm, *, jumps: bool) -> 
         rows = np.flatnonzero([*is_last, True]).tolist()
         stamps = [stamps[row] for row in rows]
     zero = stamps[0] if form.offset == "first" else Decimal(repr(form.offset or 0))
-    seconds = [float((stamp - zero) * second) for stamp in stamps]
-    _check_increasing(table, seconds, rows, jumps=jumps)
+    exact = [(stamp - zero) * second for stamp in stamps]
+    seconds = list(map(float, exact))
+    _check_increasing(table, exact if jumps else seconds, rows, jumps=jumps)
     t = np.array(seconds)
+    time_ns = _whole_ns(table, exact) if jumps else None
     restart = None
     if len(stamps) > 1:
         gap = int(np.argmax(np.diff(t)))
@@ -422,11 +429,33 @@ def _times(table: DataTable, clock: Header, form: FieldForm, *, jumps: bool) -> 
     if repeated:
         found = f"{repeated} rows have the time of the one before"
         table.tell("same time", found, str(same_time), "same_time")
-    return _Times(t, rows, restart, notes)
+    return _Times(t, rows, restart, notes, time_ns)
+
+
+def _whole_ns(table: DataTable, exact: Sequence[Decimal]) -> Nanoseconds:
+    """Return times in s as whole ns.
+
+    Raises
+    ------
+    UsageError
+        If one has too many digits, or two that differ are less than 1 ns apart.
+    """
+    if max(map(abs, exact)) * NANOSECONDS >= _MOST_NS:
+        raise UsageError(
+            f"{table.label}: expected times within 292 years of 0, got {max(exact, key=abs)} s"
+        )
+    time_ns = [round(time * NANOSECONDS) for time in exact]
+    for row, (before, after) in enumerate(pairwise(exact)):
+        if before != after and time_ns[row] == time_ns[row + 1]:
+            raise UsageError(
+                f"{table.label}, {table.place(row + 1)}: expected times at least 1 ns apart, got "
+                f"{after} s after {before} s"
+            )
+    return np.array(time_ns, np.int64)
 
 
 def _check_increasing(
-    table: DataTable, seconds: Sequence[float], rows: Sequence[int], *, jumps: bool
+    table: DataTable, seconds: Sequence[Decimal | float], rows: Sequence[int], *, jumps: bool
 ) -> None:
     for number, (before, t) in enumerate(pairwise([-math.inf, *seconds])):
         if before < t < math.inf or (jumps and before == t):
@@ -439,8 +468,8 @@ def _check_increasing(
             )
         place = f"in {table.place(rows[number - 1])}" if number else "the beginning"
         raise UsageError(
-            f"{table.label}, {table.place(rows[number])}: expected increasing times, got {t!r} s "
-            f"after {before!r} s {place}; {way_out}"
+            f"{table.label}, {table.place(rows[number])}: expected increasing times, got {t} s "
+            f"after {before} s {place}; {way_out}"
         )
 
 

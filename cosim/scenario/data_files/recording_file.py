@@ -8,11 +8,12 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, TypeAlias, final
 
 import numpy as np
 
-from cosim.arrays import Mask, Matrix, Nanoseconds, Vector, as_columns, read_only
+from cosim.arrays import Mask, Matrix, Nanoseconds, Vector, as_columns, is_absent, read_only
 from cosim.core.port import Port
 from cosim.core.recorded.run import RecordedRun
 from cosim.core.recording import TimedRows
@@ -50,7 +51,8 @@ def open_recording(path: str | Path) -> RecordedRun:
         Of a log of cosim, which is opened as by :func:`cosim.open_log`; of what ``cosim convert``
         made of one; of a table (CSV and other text, .parquet, .xlsx, .mat) with a column of times,
         as :func:`cosim.read_field_data` finds them; or of an MCAP file of another tool. Rows of a
-        table at one time are those of a jump. A column ``plant.y`` is signal y of component
+        table at one time are those of a jump. A signal has no row where its cell is empty, and one
+        that is NaN where that is written. A column ``plant.y`` is signal y of component
         plant, and ``plant.x[0]``, ``plant.x[1]``, ... are elements of one; a column without a
         component belongs to ``table``. Of messages a topic is a component, and its numeric fields
         are signals, at their log times.
@@ -98,25 +100,39 @@ class FileRun(RecordedRun):
     label : str
         Path of the file.
     components : mapping of name to (times, signals and their values)
-        In order of time.
+        In order of time; ABSENT where a signal has no row.
+    left_out : mapping of name to str
+        What cannot be read of the file, and why.
     """
 
-    def __init__(self, label: str, components: Mapping[str, _ComponentSamples]) -> None:
+    def __init__(
+        self,
+        label: str,
+        components: Mapping[str, _ComponentSamples],
+        left_out: Mapping[str, str] = MappingProxyType({}),
+    ) -> None:
         self._label = label
-        self._times: dict[str, Nanoseconds] = {}
-        self._rows: dict[str, Matrix] = {}
+        self._left_out = left_out
+        self._rows_of: dict[str, TimedRows] = {}
         self._channels: dict[str, Channel] = {}
         start = 0
         distances = []
         for name, (time_ns, own) in components.items():
-            self._times[name] = time_ns
-            self._rows[name] = read_only(np.hstack([values for _, values in own]))
+            rows = np.hstack([values for _, values in own])
+            there = ~is_absent(rows).all(axis=1)
+            time_ns, rows = time_ns[there], rows[there]
+            self._rows_of[name] = read_only(time_ns), read_only(rows)
             interface = Interface((), tuple(signal for signal, _ in own))
             self._channels[name] = Channel(name, interface, start)
-            start += self._rows[name].shape[1]
+            start += rows.shape[1]
             apart = np.diff(time_ns)
             distances += [int(apart[apart > 0].min())] if (apart > 0).any() else []
         self._step_ns = min(distances, default=NANOSECONDS)
+
+    @property
+    def left_out(self) -> Mapping[str, str]:
+        """What of the file is no signal here though it might be, and why, by name."""
+        return self._left_out
 
     @property
     def label(self) -> str:
@@ -156,15 +172,16 @@ class FileRun(RecordedRun):
     @property
     def steps(self) -> int:
         """Number of the last row of the component that has most."""
-        return max((len(times) - 1 for times in self._times.values()), default=0)
+        return max((len(times) - 1 for times, _ in self._rows_of.values()), default=0)
 
     @property
     def end_ns(self) -> int:
         """The last instant [ns]."""
-        return max((int(times[-1]) for times in self._times.values() if len(times)), default=0)
+        lasts = [int(times[-1]) for times, _ in self._rows_of.values() if len(times)]
+        return max(lasts, default=0)
 
     def _timed_rows(self, channel: Channel) -> TimedRows:
-        return self._times[channel.name], self._rows[channel.name]
+        return self._rows_of[channel.name]
 
 
 def _nanoseconds(label: str, times: Vector) -> Nanoseconds:
@@ -178,10 +195,10 @@ def _nanoseconds(label: str, times: Vector) -> Nanoseconds:
 
 
 def _table(path: Path) -> FileRun:
-    """Read a table; a component has rows where one of its columns has a number."""
+    """Read a table; a component has rows where one of its cells is not empty."""
     data = field_data(path, jumps=True)
     warn(data.diagnostics)
-    time_ns = _nanoseconds(data.source, data.t)
+    time_ns = np.empty(0, np.int64) if data.time_ns is None else data.time_ns
     declared = _declared(path)
     components: dict[str, list[tuple[Signal, Matrix]]] = defaultdict(list)
     for found in data.signals:
@@ -192,11 +209,7 @@ def _table(path: Path) -> FileRun:
             name if dot else component, values.shape[1], found.unit, optional=True, **about
         )
         components[component if dot else TABLE].append((signal, values))
-    runs: dict[str, _ComponentSamples] = {}
-    for name, own in components.items():
-        there = ~np.isnan(np.hstack([values for _, values in own])).all(axis=1)
-        runs[name] = time_ns[there], [(signal, values[there]) for signal, values in own]
-    return FileRun(str(path), runs)
+    return FileRun(str(path), {name: (time_ns, own) for name, own in components.items()})
 
 
 def _declared(path: Path) -> dict[str, dict[str, Any]]:

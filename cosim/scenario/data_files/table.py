@@ -19,7 +19,7 @@ from typing import Annotated, Any, Final, Literal, NamedTuple, TypeAlias
 import numpy as np
 from pydantic import Field
 
-from cosim.arrays import NAN, Matrix, Vector
+from cosim.arrays import ABSENT, NAN, Matrix, Vector
 from cosim.errors import UsageError, nearest
 from cosim.files import read_bounded
 from cosim.instants import EXACT
@@ -260,7 +260,7 @@ class DataTable:
         self.reading: list[Reading] = []
 
     def numbers_of(self, position: int) -> Sequence[Any] | Vector:
-        """Return the numbers of a column, as the file has them, texts too; NaN: there is none.
+        """Return the numbers of a column, as the file has them, texts too; None: there is none.
 
         Of dates and durations, what they count in their unit.
 
@@ -301,7 +301,7 @@ class DataTable:
         UsageError
             If one is missing, infinite, or none.
         """
-        stamps = [Decimal(str(stamp)) for stamp in self.numbers_of(position)]
+        stamps = [Decimal(str(NAN if n is None else n)) for n in self.numbers_of(position)]
         for row, stamp in enumerate(stamps):
             if not stamp.is_finite():
                 found = "an empty cell" if stamp.is_nan() else float(stamp)
@@ -309,7 +309,7 @@ class DataTable:
         return stamps
 
     def values(self, position: int) -> Vector:
-        """Return the numbers of a column; NaN: not measured.
+        """Return the numbers of a column; NaN: not measured, ABSENT: the cell is empty.
 
         Raises
         ------
@@ -325,8 +325,10 @@ class DataTable:
         if isinstance(written, np.ndarray):
             values = written.astype(np.float64)
         else:
-            values = np.fromiter(map(float, written), np.float64, len(written))
-        values[np.isnan(values)] = NAN
+            numbers = (NAN if number is None else float(number) for number in written)
+            values = np.fromiter(numbers, np.float64, len(written))
+        for row in np.flatnonzero(np.isnan(values)).tolist():
+            values[row] = ABSENT if written[row] is None else NAN
         for row in np.flatnonzero(np.abs(values) >= EXACT).tolist():
             if math.isinf(values[row]):
                 raise UsageError(

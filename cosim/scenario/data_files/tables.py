@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from cosim.arrays import NAN
 from cosim.errors import UsageError
 from cosim.scenario.data_files.mat_file import MatTable
 from cosim.scenario.data_files.table import (
@@ -122,7 +121,7 @@ class ParquetTable(DataTable):
             raise UsageError(f"{self.label}: not a valid Parquet file") from error
 
     def numbers_of(self, position: int) -> Sequence[Any]:
-        """Return the numbers of a column, or what dates and durations count; NaN for null."""
+        """Return the numbers of a column, or what dates and durations count; None for null."""
         if position in self._ranges:
             return self._ranges[position]
         header = self.headers[position]
@@ -136,7 +135,7 @@ class ParquetTable(DataTable):
         with self._only_parquet():
             column = self._file.read(columns=[name]).column(names[:position].count(name))
             numbers = column if header.stamp_unit is None else column.cast("int64")
-            return [NAN if number is None else number for number in numbers.to_pylist()]
+            return list(numbers.to_pylist())
 
 
 def _pandas_index(schema: Any) -> list[Any]:

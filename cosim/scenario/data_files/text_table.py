@@ -378,14 +378,17 @@ class TextTable(DataTable):
     def _stripped(self, position: int) -> Iterator[str]:
         return (row.cells[position].strip() for row in self._rows)
 
-    def numbers_of(self, position: int) -> Sequence[Decimal | str]:
+    def numbers_of(self, position: int) -> Sequence[Decimal | str | None]:
         """Return the numbers of a column as Python writes them, or the ns of dates."""
         read = self._number if self.headers[position].stamp_unit is None else self._stamp
-        return [read(row, position, cell) for row, cell in enumerate(self._stripped(position))]
+        return [
+            None if cell in self._gaps else read(row, position, cell)
+            for row, cell in enumerate(self._stripped(position))
+        ]
 
-    def _stamp(self, row: int, position: int, cell: str) -> Decimal | str:
-        """Return a date or a duration in ns; "nan": there is none."""
-        stamp = "nan" if cell in self._gaps else nanoseconds(cell)
+    def _stamp(self, row: int, position: int, cell: str) -> Decimal:
+        """Return a date or a duration in ns."""
+        stamp = nanoseconds(cell)
         if stamp is None:
             raise self._no_stamp(row, position, cell)
         return stamp
@@ -399,9 +402,7 @@ class TextTable(DataTable):
         )
 
     def _number(self, row: int, position: int, cell: str) -> str:
-        """Return a number as Python writes it; "nan": there is none."""
-        if cell in self._gaps:
-            return "nan"
+        """Return a number as Python writes it."""
         number = cell
         if self._decimal == ",":
             number = cell.replace(",", ".") if "." not in cell else ""

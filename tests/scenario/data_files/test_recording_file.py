@@ -13,10 +13,13 @@ from cosim.core.contracts import Block
 from cosim.core.recorders import Memory
 from cosim.core.recording import Plan
 from cosim.core.signals import Channel, Interface, Layout, Signal
-from cosim.errors import LogError, UnknownSignalError, UsageError
+from cosim.errors import CosimWarning, LogError, UnknownSignalError, UsageError
 from cosim.log.conversion import ENDINGS, convert
-from cosim.log.text import LogChoice
+from cosim.log.text import LogChoice, csv_text
 from tests.log.foreign_files import state_class, write_json
+
+
+HEADER = "t [s],table.a,table.b,table.x[0],table.x[1]"
 
 
 def table(folder, text):
@@ -95,6 +98,66 @@ def test_rows_of_one_time_are_those_of_a_jump(tmp_path):
     assert run.step_ns == 10**9
     with pytest.raises(UsageError, match=r"a\.csv.*line 4: expected increasing times"):
         table(tmp_path, "t,y\n0,1\n2,2\n1,3\n")
+
+
+GAPS = "t [s],a,b,x[0],x[1]\n0.0,1.0,,1.0,\n1.0,,5.0,,2.0\n2.0,3.0,6.0,,\n"
+
+
+@pytest.mark.parametrize("ending", ["", *ENDINGS])
+def test_an_empty_cell_is_no_row_of_its_signal(tmp_path, ending):
+    """Converted and read again, too; elements of one signal have rows of their own."""
+    run = table(tmp_path, GAPS)
+    if ending:
+        convert(LogChoice.of(run), tmp_path / f"b{ending}")
+        run = cosim.open_recording(tmp_path / f"b{ending}")
+    found = {name: (run.time(name).tolist(), run[name].tolist()) for name in ("table.a", "table.b")}
+    assert found == {"table.a": ([0.0, 2.0], [1.0, 3.0]), "table.b": ([1.0, 2.0], [5.0, 6.0])}
+    assert run.time("table.x").tolist() == [0.0, 1.0]
+    assert (run.time("table.x[1]").tolist(), run["table.x[1]"].tolist()) == ([1.0], [2.0])
+    expressions = {
+        "b": "initial(table.b)",
+        "both": "max(table.a + table.b)",
+        "a": "integral(table.a)",
+    }
+    assert cosim.metrics(run, expressions) == {"b": 5.0, "both": 9.0, "a": 4.0}
+    assert run["table.a"].shape == run.window(0.0, 2.0)["table.a"].shape
+    with pytest.raises(LogError, match="same instants"):
+        run[["table.a", "table.b"]]
+
+
+def test_a_table_is_shown_as_it_was_written(tmp_path):
+    """Rows of which nothing is chosen are left out."""
+    run = table(tmp_path, GAPS)
+    assert "".join(csv_text(LogChoice.of(run))) == GAPS.replace("t [s],a,b,x[0],x[1]", HEADER)
+    assert "".join(csv_text(LogChoice.of(run, ["table.a"]))) == "t [s],table.a\n0.0,1.0\n2.0,3.0\n"
+    assert np.isnan(run.to_pandas()["table.a"].tolist()).tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_nan_is_a_value(tmp_path, ending):
+    """As that of an estimate before there is one; a file has it as the log has."""
+    with Memory() as memory:
+        interface = Interface((), (Signal("y"), Signal("z")))
+        memory.begin(Plan(Layout((Channel("a", interface, 0),)), 1_000_000, {}, {}, ()))
+        times = np.arange(3) * 1_000_000
+        rows = np.array([[np.nan, np.nan], [1.0, np.nan], [2.0, 3.0]])
+        memory.write(Block(0, times, times / 1e9, 1e-3), rows)
+    convert(LogChoice.of(memory), tmp_path / f"a{ending}")
+    assert cosim.diff(memory, cosim.open_recording(tmp_path / f"a{ending}")).equal
+
+
+@pytest.mark.parametrize("ending", ["", *ENDINGS])
+def test_times_since_1970_keep_their_ns_or_a_warning_says_so(tmp_path, ending):
+    """A double has them to 256 ns."""
+    run = table(tmp_path, "t,y\n1764570000.123456789,1\n1764570000.123456790,2\n")
+    if ending in (".npz", ".mat"):
+        with pytest.warns(CosimWarning, match="rounded"):
+            convert(LogChoice.of(run), tmp_path / f"b{ending}")
+        return
+    if ending:
+        convert(LogChoice.of(run), tmp_path / f"b{ending}")
+        run = cosim.open_recording(tmp_path / f"b{ending}")
+    assert run.time_ns("table").tolist() == [1764570000123456789, 1764570000123456790]
 
 
 def test_columns_are_signals_of_components(tmp_path):
