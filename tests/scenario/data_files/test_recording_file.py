@@ -18,7 +18,6 @@ from cosim.log.conversion import ENDINGS, convert
 from cosim.log.text import LogChoice, csv_text
 from tests.log.foreign_files import state_class, write_json
 
-
 HEADER = "t [s],table.a,table.b,table.x[0],table.x[1]"
 
 
