@@ -155,6 +155,7 @@ ROOMS = {
         "conversion",
         "following",
         "difference",
+        "between",
         "diff",
         "background",
         "store",

@@ -265,6 +265,11 @@ class Recording(Protocol):
         ...
 
     @property
+    def left_out(self) -> Mapping[str, str] | None:
+        """What cannot be read of a file of another tool, and why; None: it is a run of cosim."""
+        ...
+
+    @property
     def held(self) -> Mapping[str, Mask]:
         """Which input elements of every component had a zero-order hold."""
         ...

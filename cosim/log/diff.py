@@ -22,13 +22,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from operator import itemgetter
-from typing import Any, Literal, TypeAlias, final
+from typing import Any, Final, Literal, TypeAlias, cast, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arguments import truth_argument
-from cosim.arrays import Matrix, Nanoseconds
+from cosim.arrays import Matrix, Nanoseconds, Vector, as_columns, is_absent
 from cosim.core.port import Port
 from cosim.core.recorded.joined_rows import numbered_instants
 from cosim.core.recorded.partial import declared_channels
@@ -37,6 +37,7 @@ from cosim.core.recorded.signals import RecordedPort, find_signal
 from cosim.core.recording import Recording, SignalEvent, TimedRows
 from cosim.errors import LogError, UnknownSignalError, UsageError, nearest, option
 from cosim.instants import NANOSECONDS
+from cosim.log.between import distance, distance_within, held_elements, measured, values_at
 from cosim.log.difference import (
     LEFT_OUT,
     OF_COMPONENTS,
@@ -50,6 +51,8 @@ from cosim.log.difference import (
     bit_pattern,
 )
 from cosim.units import Conversion, conversions_between
+
+_WIDEST_TUBE: Final = 1e9  # s
 
 
 def diff(
@@ -94,6 +97,12 @@ def diff(
         Signals of a, or elements of them, by the names that b has for them:
         ``{"table.level": "tank.y"}``.
 
+    Returns
+    -------
+    LogDifference
+        Its ``not_compared`` tells what was left out, such as what a file of another tool has that
+        could not be read: then the runs are neither equal nor within the tolerance.
+
     Raises
     ------
     LogError
@@ -125,13 +134,21 @@ def diff(
         raise LogError(
             f"{a.label} and {b.label} have no recorded signal in common: one of them is partial"
         )
-    for group in groups.values():
-        _compare(a, b, group, span_ns, round(tube * NANOSECONDS) if between else None)
-    events = EventsDifference() if between else _compare_events(a, b, pairs, span_ns)
-    ordered = (pairs[name].result() if name in pairs else rows[name] for name in found)
-    return LogDifference(
-        tuple(ordered), atol, rtol, events, tol, renamed, tube if between else None
-    )
+    tube_ns = round(tube * NANOSECONDS) if between else None
+    notes = [_compare(a, b, group, span_ns, tube_ns) for group in groups.values()]
+    unread = _unread(a, b, signals, found)
+    notes += [f"{name}: {reason}" for name, reason in unread.items()]
+    events = EventsDifference()
+    lacking = [run.label for run in (a, b) if run.left_out is not None]
+    if not between and not lacking:
+        events = _compare_events(a, b, pairs, span_ns)
+    elif lacking and any(run.events() for run in (a, b)):
+        notes.append(f"events: {lacking[0]} has no place for them")
+    ordered = [pairs[name].result() if name in pairs else rows[name] for name in found]
+    ordered += [SignalDifference(name, "not read", (0, 0, 0)) for name in unread]
+    width = tube if between else None
+    compared = tuple(ordered), atol, rtol, events, tol, renamed, width
+    return LogDifference(*compared, tuple(filter(None, notes)))
 
 
 def _check_arguments(
@@ -152,6 +169,8 @@ def _check_arguments(
         is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
         if not is_number or not 0.0 <= value < math.inf:
             raise UsageError(f"{name}: expected a finite number >= 0, got {value!r}")
+    if cast(float, tube) > _WIDEST_TUBE:
+        raise UsageError(f"{option('tube')}: expected at most {_WIDEST_TUBE:g} s, got {tube!r}")
 
 
 def _check_used(tol: Mapping[str, float], names: Iterable[str]) -> None:
@@ -206,6 +225,19 @@ def _found(
                 find_signal(run.channels, own_name, source=run.label)  # which says why
         found[name] = (one, other)
     return found
+
+
+def _unread(
+    a: Recording, b: Recording, signals: Sequence[str], found: Iterable[str]
+) -> dict[str, str]:
+    """Return what could not be read of either file, of what is asked for, and why."""
+    wanted = [signals] if isinstance(signals, str) else signals
+    unread = {}
+    for run in (a, b):
+        for name, reason in (run.left_out or {}).items():
+            if name not in found and (not wanted or any(matches(own, name) for own in wanted)):
+                unread[name] = f"{run.label}: {reason}"
+    return unread
 
 
 def _search(run: Recording, name: str) -> _Port:
@@ -281,29 +313,42 @@ class _Pair:
         sizes = np.abs(rows[:, self.a.columns])
         self.scale = max(self.scale, float(sizes.max(initial=0.0, where=np.isfinite(sizes))))
 
-    def values_of_b(self, rows: Matrix) -> Matrix:
-        """Return its values in rows of b, in the units of a."""
-        values = rows[:, self.b.columns]
+    def converted(self, values: Matrix) -> Matrix:
+        """Return values of b in the units of a."""
         if all(convert.copies for convert in self.conversions):
             return values
         columns = zip(self.conversions, values.T, strict=True)
         return np.stack([convert(column) for convert, column in columns], axis=1)
 
-    def take(self, times: Nanoseconds, a: Matrix, b: Matrix, apart: Matrix | None = None) -> None:
-        """Take values of both at some times, and how far they are apart, if that is known."""
+    def add_rows(self, *counts: int) -> None:
+        """Count rows of a, of b, and those that are compared."""
+        in_a, in_b, compared = map(sum, zip(self.rows, counts, strict=True))
+        self.rows = in_a, in_b, compared
+
+    def take(
+        self,
+        times: Nanoseconds,
+        a: NDArray[np.float64],
+        b: NDArray[np.float64],
+        apart: Vector | None = None,
+        element: int = 0,
+    ) -> None:
+        """Take values of both at some times: of all elements, or of one and how far it is apart."""
         same_bits = _bits(a) == _bits(b)
         if apart is None and same_bits.all():
             return
         self.is_equal = self.is_equal and bool(same_bits.all())
         by_bits = apart is None and self.is_exact
-        apart = _distance(a, b) if apart is None else apart
-        outside = ~same_bits if by_bits else ~(apart <= self.tolerance) | np.isinf(apart)
-        self.largest = max(self.largest, float(apart.max(initial=0.0)))
+        sizes = as_columns(distance(a, b) if apart is None else apart)
+        outside = np.isinf(sizes) | ~(sizes <= self.tolerance)
+        if by_bits:
+            outside = ~same_bits
+        self.largest = max(self.largest, float(sizes.max(initial=0.0)))
         if outside.any():
             row, column = divmod(int(outside.argmax()), outside.shape[1])
-            element = Port.parse(self.name).element_names(outside.shape[1])[column]
-            values = float(a[row, column]), float(b[row, column])
-            found = ElementDifference(element, int(times[row]), *values)
+            name = Port.parse(self.name).element_names(self.a.size)[element + column]
+            values = float(as_columns(a)[row, column]), float(as_columns(b)[row, column])
+            found = ElementDifference(name, int(times[row]), *values)
             if self.first is None or found.time_ns < self.first.time_ns:
                 self.first = found
 
@@ -336,18 +381,8 @@ def _pair(
     )
 
 
-def _bits(values: Matrix) -> NDArray[np.int64]:
+def _bits(values: NDArray[np.float64]) -> NDArray[np.int64]:
     return np.ascontiguousarray(values).view(np.int64)
-
-
-def _distance(a: Matrix, b: Matrix) -> Matrix:
-    """Compute |a - b|: 0 where both are NaN or the same infinity, infinite where only one is."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        apart = np.abs(a - b)
-    # Infinity minus itself is NaN, as is everything minus NaN: first what agrees, then the rest.
-    apart[(a == b) | (np.isnan(a) & np.isnan(b))] = 0.0
-    apart[np.isnan(apart)] = np.inf
-    return apart
 
 
 def _compare(
@@ -356,19 +391,38 @@ def _compare(
     group: Sequence[_Pair],
     span_ns: tuple[int, int] | None,
     tube_ns: int | None,
-) -> None:
-    """Compare the signals of one component of each; ``tube_ns`` is None at shared instants."""
+) -> str:
+    """Compare signals of one component of each; return what was not; ``tube_ns``: not shared."""
     first = group[0]
-    if any(pair.rtol for pair in group):  # of the scale of the whole signal
+    if tube_ns is None and any(pair.rtol for pair in group):  # of the scale of the whole signal
         for _, rows in _blocks(a, first.a, span_ns):
             for pair in group:
                 pair.extend_scale(rows)
     blocks = _blocks(a, first.a, span_ns), _blocks(b, first.b, span_ns)
     thinned = _is_thinned(a, first.a), _is_thinned(b, first.b)
     if tube_ns is None:
-        _compare_shared(group, *blocks, thinned)
+        spans = _compare_shared(group, *blocks, thinned)
     else:
-        _compare_between(group, *blocks, tube_ns, thinned[1])
+        held = [(held_elements(a, pair.a), held_elements(b, pair.b)) for pair in group]
+        spans = _compare_between(group, *blocks, held, tube_ns, thinned[1])
+    return _apart_in_time(first, *spans, is_between=tube_ns is not None)
+
+
+# of a run: its first and last instant, [ns]; empty: it has no rows
+_Extent: TypeAlias = tuple[int, ...]
+
+
+def _apart_in_time(pair: _Pair, a: _Extent, b: _Extent, *, is_between: bool) -> str:
+    """Return what of two runs is not compared as the other has nothing there; empty: nothing."""
+    if not a or not b:
+        return ""
+    in_a, in_b = (f"{begin / NANOSECONDS} s to {end / NANOSECONDS} s" for begin, end in (a, b))
+    name = pair.a.channel.name
+    if not any(pair.rows[2:]):
+        return f"{name}: no instant in common, a has rows from {in_a}, b from {in_b}"
+    if is_between and (b[0] < a[0] or b[1] > a[1]):
+        return f"{name}: b has rows from {in_b}, a only from {in_a}"
+    return ""
 
 
 # --- at the instants of both ---
@@ -379,27 +433,58 @@ def _compare_shared(
     a: Iterator[TimedRows],
     b: Iterator[TimedRows],
     thinned: tuple[bool, bool],
-) -> None:
-    """Compare signals of a component of each; a run that is thinned need not have all rows."""
-    in_a = in_b = compared = 0
+) -> tuple[_Extent, _Extent]:
+    """Compare signals of a component of each; a run that is thinned need not have all rows.
+
+    Returns the spans of time of both.
+    """
+    spans: tuple[_Extent, _Extent] = ((), ())
     for (times_a, rows_a), (times_b, rows_b) in windows(a, b):
-        own_a: Any = slice(None)
-        own_b: Any = slice(None)
-        if not np.array_equal(times_a, times_b):
-            instants = numbered_instants(times_a), numbered_instants(times_b)
-            _, own_a, own_b = np.intersect1d(*instants, assume_unique=True, return_indices=True)
-        times = times_a[own_a]
-        in_a, in_b, compared = in_a + len(rows_a), in_b + len(rows_b), compared + len(times)
+        spans = _extended(spans[0], times_a), _extended(spans[1], times_b)
+        shared = _shared(times_a, times_b)
         for pair in group:
             pair.extend_scale(rows_a)
-            pair.take(times, rows_a[own_a, pair.a.columns], pair.values_of_b(rows_b)[own_b])
+            one = _present(pair.a, times_a, rows_a)
+            other = _present(pair.b, times_b, rows_b)
+            is_whole = one[0] is times_a and other[0] is times_b
+            own_a, own_b = shared if is_whole else _shared(one[0], other[0])
+            times = one[0][own_a]
+            pair.add_rows(len(one[0]), len(other[0]), len(times))
+            pair.take(times, one[1][own_a], pair.converted(other[1])[own_b])
     for pair in group:
-        pair.rows = (in_a, in_b, compared)
+        in_a, in_b, compared = pair.rows
         pair.has_other_times = (
             (in_a > compared and not thinned[1])
             or (in_b > compared and not thinned[0])
             or bool(in_a and in_b and not compared)
         )
+    return spans
+
+
+def _extended(span: _Extent, times: Nanoseconds) -> _Extent:
+    """Return a span up to the last of more times."""
+    if not len(times):
+        return span
+    return (span[0] if span else int(times[0])), int(times[-1])
+
+
+def _shared(a: Nanoseconds, b: Nanoseconds) -> tuple[Any, Any]:
+    """Return the rows of instants that both have, those of a jump in their order."""
+    if np.array_equal(a, b):
+        return slice(None), slice(None)
+    instants = numbered_instants(a), numbered_instants(b)
+    _, own_a, own_b = np.intersect1d(*instants, assume_unique=True, return_indices=True)
+    return own_a, own_b
+
+
+def _present(port: RecordedPort, times: Nanoseconds, rows: Matrix) -> TimedRows:
+    """Return the rows of a signal, without those in which all of its cells are empty."""
+    values = rows[:, port.columns]
+    if port.signal.optional:
+        is_empty = np.all(is_absent(values), axis=1)
+        if is_empty.any():
+            return times[~is_empty], values[~is_empty]
+    return times, values
 
 
 def windows(
@@ -440,36 +525,60 @@ def _compare_between(
     group: Sequence[_Pair],
     a: Iterator[TimedRows],
     b: Iterator[TimedRows],
+    held: Sequence[tuple[Sequence[bool], Sequence[bool]]],
     tube_ns: int,
     b_is_thinned: bool,
-) -> None:
+) -> tuple[_Extent, _Extent]:
     """Compare signals of a component at all instants of a that lie within b, or near it.
 
     In a tube those of b within a are compared with what a has near them: between the instants of a
-    around them, at least, as what a has there is not known.
+    around them, at least, as what a has there is not known. Returns the spans of time of both.
     """
     (times_a, rows_a), (times_b, rows_b) = _joined(a), _joined(b)
-    for pair in group:
+    for pair, (held_a, held_b) in zip(group, held, strict=True):
         pair.extend_scale(rows_a)
-        known_a, values_a = _measured(pair.a, times_a, rows_a[:, pair.a.columns])
-        known_b, values_b = _measured(pair.b, times_b, pair.values_of_b(rows_b))
-        is_line = is_straight(pair.a) and is_straight(pair.b)
-        times, values = _within(known_a, values_a, known_b, tube_ns)
-        if len(times):
-            span = times - tube_ns, times + tube_ns
-            own, apart = _beside(times, values, span, (known_b, values_b), is_line)
-            pair.take(times, values, own, apart)
-        pair.rows = (len(known_a), len(known_b), len(times))
-        pair.is_equal = pair.is_equal and np.array_equal(known_a, known_b)
-        is_nothing = len(known_b) > 0 and not len(times)
-        pair.has_other_times = is_nothing or (len(known_a) > len(times) and not b_is_thinned)
-        times, values = _within(known_b, values_b, known_a, 0)
-        if tube_ns and len(times):
-            before = known_a[np.searchsorted(known_a, times, side="right") - 1]
-            after = known_a[np.searchsorted(known_a, times, side="left")]
-            span = np.minimum(times - tube_ns, before), np.maximum(times + tube_ns, after)
-            own, apart = _beside(times, values, span, (known_a, values_a), is_line)
-            pair.take(times, own, values, apart)
+        values_a, values_b = rows_a[:, pair.a.columns], pair.converted(rows_b[:, pair.b.columns])
+        for element in range(pair.a.size):
+            one = measured(pair.a, times_a, values_a[:, element])
+            other = measured(pair.b, times_b, values_b[:, element])
+            is_line = not (held_a[element] or held_b[element])
+            _compare_element(pair, element, one, other, is_line, tube_ns, b_is_thinned)
+    return _extended((), times_a), _extended((), times_b)
+
+
+def _compare_element(
+    pair: _Pair,
+    element: int,
+    a: tuple[Nanoseconds, Vector],
+    b: tuple[Nanoseconds, Vector],
+    is_line: bool,
+    tube_ns: int,
+    b_is_thinned: bool,
+) -> None:
+    known_a, _ = a
+    known_b, _ = b
+    times, values = _within(*a, known_b, tube_ns)
+    if len(times):
+        own = values_at(times, *b, is_line)
+        apart = distance(values, own)
+        if tube_ns:
+            near = distance_within(values, (times - tube_ns, times + tube_ns), *b, is_line)
+            apart = np.minimum(apart, near)
+        pair.take(times, values, own, apart, element)
+    in_a, in_b, compared = pair.rows
+    pair.rows = max(in_a, len(known_a)), max(in_b, len(known_b)), max(compared, len(times))
+    pair.is_equal = pair.is_equal and np.array_equal(known_a, known_b)
+    is_nothing = len(known_b) > 0 and not len(times)
+    is_longer = len(known_a) > len(times) and not b_is_thinned
+    pair.has_other_times = pair.has_other_times or is_nothing or is_longer
+    times, values = _within(*b, known_a, 0)
+    if tube_ns and len(times):
+        before = known_a[np.searchsorted(known_a, times, side="right") - 1]
+        after = known_a[np.searchsorted(known_a, times, side="left")]
+        span = np.minimum(times - tube_ns, before), np.maximum(times + tube_ns, after)
+        own = values_at(times, *a, is_line)
+        apart = np.minimum(distance(values, own), distance_within(values, span, *a, is_line))
+        pair.take(times, own, values, apart, element)
 
 
 def _joined(blocks: Iterator[TimedRows]) -> TimedRows:
@@ -478,86 +587,14 @@ def _joined(blocks: Iterator[TimedRows]) -> TimedRows:
     return times, np.concatenate([rows for _, rows in parts])
 
 
-def _measured(port: RecordedPort, times: Nanoseconds, values: Matrix) -> TimedRows:
-    """Return the rows of a signal, without those in which it has no value, as it may."""
-    if not port.signal.optional:
-        return times, values
-    is_there = ~np.isnan(values).all(axis=1)
-    return times[is_there], values[is_there]
-
-
-def _within(times: Nanoseconds, values: Matrix, known: Nanoseconds, margin_ns: int) -> TimedRows:
+def _within(
+    times: Nanoseconds, values: Vector, known: Nanoseconds, margin_ns: int
+) -> tuple[Nanoseconds, Vector]:
     """Return the rows at times within those that are known, or near them."""
     if not len(known):
         return times[:0], values[:0]
     is_there = (times >= known[0] - margin_ns) & (times <= known[-1] + margin_ns)
     return times[is_there], values[is_there]
-
-
-def is_straight(port: RecordedPort) -> bool:
-    """Return whether a signal is a straight line between two rows; else it keeps its value."""
-    return port.signal.type == "real" and port.signal.variability != "discrete"
-
-
-def values_at(times: Nanoseconds, known: Nanoseconds, values: Matrix, is_line: bool) -> Matrix:
-    """Return values at times, beyond those that are known the nearest; shape (n, size).
-
-    At a jump it is the last value, but for times that come again those before it, in their order.
-    """
-    number = np.arange(len(times)) - np.searchsorted(times, times)
-    comes_again = np.append(times[1:] == times[:-1], False)
-    times = np.clip(times, known[0], known[-1])
-    before = np.searchsorted(known, times, side="right") - 1
-    earlier = np.searchsorted(known, times, side="left") + number
-    before = np.where(comes_again, np.minimum(earlier, before), before)
-    found: Matrix = values[before]
-    between = np.flatnonzero(known[before] != times)
-    if is_line and len(between):
-        first = before[between]
-        width = (known[first + 1] - known[first])[:, np.newaxis]
-        part = (times[between] - known[first])[:, np.newaxis] / width
-        with np.errstate(invalid="ignore", over="ignore"):
-            found[between] = values[first] + part * (values[first + 1] - values[first])
-    return found
-
-
-def _beside(
-    times: Nanoseconds,
-    values: Matrix,
-    span: tuple[Nanoseconds, Nanoseconds],
-    other: TimedRows,
-    is_line: bool,
-) -> tuple[Matrix, Matrix]:
-    """Return the other run at some times, and how far values are from all that it has in spans.
-
-    These begin and end around each time. Lines have all values between their lowest and highest,
-    what is held those of its rows.
-    """
-    known, rows = other
-    own = values_at(times, known, rows, is_line)
-    apart = _distance(values, own)
-    begin, end = span
-    if np.array_equal(begin, end):
-        return own, apart
-    at_begin, at_end = (values_at(at, known, rows, is_line) for at in span)
-    first = np.searchsorted(known, begin, side="left")
-    stop = np.searchsorted(known, end, side="right")
-    if not is_line:
-        apart = np.minimum(apart, _distance(values, at_begin))
-        for number in range(int((stop - first).max())):
-            near = np.flatnonzero(first + number < stop)
-            held = _distance(values[near], rows[first[near] + number])
-            apart[near] = np.minimum(apart[near], held)
-        return own, apart
-    lower, upper = np.fmin(at_begin, at_end), np.fmax(at_begin, at_end)
-    near = np.flatnonzero(stop > first)
-    if len(near):
-        bounds = np.stack([first[near], stop[near]], axis=1).ravel()
-        padded = np.concatenate([rows, rows[-1:]])  # reduceat takes no end behind the last row
-        lower[near] = np.fmin(lower[near], np.fmin.reduceat(padded, bounds)[::2])
-        upper[near] = np.fmax(upper[near], np.fmax.reduceat(padded, bounds)[::2])
-    from_lines = _distance(values, np.clip(values, lower, upper))
-    return own, np.where(np.isnan(values), apart, np.minimum(apart, from_lines))
 
 
 # --- events ---

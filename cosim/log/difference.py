@@ -23,6 +23,7 @@ DifferenceStatus: TypeAlias = Literal[
     "only in b",
     "not recorded in a",
     "not recorded in b",
+    "not read",
 ]
 # what a partial log does not have says nothing about its run
 LEFT_OUT: Final = frozenset({"not recorded in a", "not recorded in b"})
@@ -75,7 +76,8 @@ class SignalDifference:
         ``equal``: the same bits at the same times; ``within`` or ``outside`` the tolerance;
         ``other times``: within it where both have values, but their instants differ;
         ``other size``, ``other unit``, ``only in a``, ``only in b``: not compared; ``not recorded
-        in a`` or ``b``: neither, as that log is partial, which is no difference.
+        in a`` or ``b``: neither, as that log is partial, which is no difference; ``not read``:
+        neither, as a file of another tool has it in a form that cannot be read.
     rows : tuple of int
         Numbers of rows in a and in b, and of those that were compared.
     largest : float
@@ -174,6 +176,9 @@ class LogDifference:
         The signals of b that have another name than those of a that they are compared with.
     tube : float or None
         Half its width [s], 0: none, where b was interpolated; None: it was not.
+    not_compared : tuple of str
+        What was not, and why: where one run has rows and the other none, what could not be read,
+        events of a run and a file that has none.
     """
 
     rows: tuple[SignalDifference, ...]
@@ -183,6 +188,7 @@ class LogDifference:
     tol: Mapping[str, float] = field(default_factory=dict)
     map: Mapping[str, str] = field(default_factory=dict)
     tube: float | None = None
+    not_compared: tuple[str, ...] = ()
 
     @property
     def equal(self) -> bool:
@@ -230,6 +236,10 @@ class LogDifference:
             "atol": self.atol,
             "rtol": self.rtol,
             "tol": dict(self.tol),
+            "map": dict(self.map),
+            "interpolate": self.tube is not None,
+            "tube": self.tube,
+            "not_compared": list(self.not_compared),
             "first": None if first is None else first.to_dict(),
             "signals": signals,
             "events": asdict(self.events),

@@ -33,6 +33,9 @@ STEP = STEP_NS / 1e9
 class Run:
     """A recording made by hand, of one component ``c``; each signal as it is declared."""
 
+    left_out = None
+    held = {"c": np.zeros(0, bool)}
+
     def __init__(self, values, times=None, events=(), cuts=(), **declared):
         self.label = "the run"
         columns = {name: np.asarray(own, dtype=float) for name, own in values.items()}

@@ -271,6 +271,11 @@ class RecordedRun(Mapping[str, NDArray[np.float64]], Recording):
         return partial_of(self.channels)
 
     @property
+    def left_out(self) -> Mapping[str, str] | None:
+        """What cannot be read of a file of another tool, and why; None: it is a run of cosim."""
+        return None
+
+    @property
     def grid(self) -> Grid:
         """The communication points: number 0 is that at which the run began."""
         return Grid(Grid(self.end_ns, self.step_ns).stamp(-self.steps), self.step_ns)
@@ -583,6 +588,11 @@ class RecordedWindow(RecordedRun):
     def channels(self) -> Mapping[str, Channel]:
         """The recorded components by name, in the order of the row."""
         return self._run.channels
+
+    @property
+    def left_out(self) -> Mapping[str, str] | None:
+        """What cannot be read of a file of another tool; None: it is a run of cosim."""
+        return self._run.left_out
 
     @property
     def metadata(self) -> Mapping[str, Any]:

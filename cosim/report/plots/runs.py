@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from cosim.arrays import Vector
+from cosim.arrays import Vector, is_absent
 from cosim.core.port import Port, named_ports
 from cosim.core.recorded.selection import split_names
 from cosim.core.recording import Recording
 from cosim.errors import UsageError
+from cosim.log.between import held_elements, values_at
 from cosim.log.difference import LogDifference
 from cosim.report.plots.picture import (
     COLORS,
@@ -164,7 +165,11 @@ def curves_of(recording: Recording, port: str, *, run: str = "") -> list[Curve]:
     """
     elements = zip(_empty_curves(recording, port), rows_of(recording, port).T, strict=True)
     times = recording.time_ns(port) / 1e9
-    return [replace(curve, times=times, values=values, run=run) for curve, values in elements]
+    curves = []
+    for curve, values in elements:
+        there = ~is_absent(values)
+        curves.append(replace(curve, times=times[there], values=values[there], run=run))
+    return curves
 
 
 def _empty_curves(recording: Recording, port: str) -> list[Curve]:
@@ -466,6 +471,15 @@ def plot_difference(comparison: LogDifference, runs: Sequence[Recording], out: P
         curves_of(*each[:2], run=each[2]) for each in zip(runs, names, labels, strict=True)
     )
     pairs = [(one, two.in_unit_of(one)) for one, two in zip(own, other, strict=True)]
+    if comparison.tube is not None:
+        held = [
+            held_elements(run, recorded_port(run, name))
+            for run, name in zip(runs, names, strict=True)
+        ]
+        pairs = [
+            (replace(one, held=of_one), replace(two, held=of_two))
+            for (one, two), of_one, of_two in zip(pairs, *held, strict=True)
+        ]
     with np.errstate(invalid="ignore"):  # infinity minus itself
         curves = [_apart(*pair, interpolated=comparison.tube is not None) for pair in pairs]
     largest = [np.nan_to_num(np.abs(one.values), nan=0.0).max(initial=0.0) for one in curves]
@@ -498,10 +512,9 @@ def _apart(first: Curve, other: Curve, *, interpolated: bool) -> Curve:
         (first.times >= at.min(initial=np.inf)) & (first.times <= at.max(initial=-np.inf))
     )
     times = first.times[own]
-    beside = values[np.searchsorted(at, times, side="right") - 1]
-    if len(times) and not (first.held or other.held):
-        beside = np.interp(times, at, values)
-    return replace(first, times=times, values=beside - first.values[own])
+    if len(times):
+        values = values_at(times, at, values, is_line=not (first.held or other.held))
+    return replace(first, times=times, values=values[: len(times)] - first.values[own])
 
 
 def plot_comparison(comparison: Comparison | EstimatorComparison, out: Path) -> None:

@@ -152,6 +152,8 @@ def _notes(difference: LogDifference) -> Iterator[str]:
                 f"{in_b} in b)"
             )
             break
+    for text in difference.not_compared:
+        yield f"note: not compared: {text}"
     if all(row.status in ("only in a", "only in b") for row in difference.rows):
         yield "note: no signal of a has the name of one of b; '--map SIGNAL=NAME' pairs them"
     if any(difference.events.events):

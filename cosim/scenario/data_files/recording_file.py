@@ -131,7 +131,7 @@ class FileRun(RecordedRun):
 
     @property
     def left_out(self) -> Mapping[str, str]:
-        """What of the file is no signal here though it might be, and why, by name."""
+        """What cannot be read of the file, and why, by name."""
         return self._left_out
 
     @property
