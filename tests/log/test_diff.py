@@ -34,10 +34,10 @@ class Run:
     """A recording made by hand, of one component ``c``; each signal as it is declared."""
 
     left_out = None
-    held = {"c": np.zeros(0, bool)}
 
-    def __init__(self, values, times=None, events=(), cuts=(), **declared):
+    def __init__(self, values, times=None, events=(), cuts=(), held=(), **declared):
         self.label = "the run"
+        self.held = {"c": np.array(held, bool)}
         columns = {name: np.asarray(own, dtype=float) for name, own in values.items()}
         sizes = [own[:1].size or 1 for own in columns.values()]
         count = len(next(iter(columns.values())))
@@ -50,7 +50,9 @@ class Run:
         self._blocks = [(times[begin:end], rows[begin:end]) for begin, end in bounds]
         self._events = list(events)
         signals = [Signal(*own, **declared) for own in zip(columns, sizes, strict=True)]
-        self.channels = {"c": Channel("c", Interface((), tuple(signals)), 0)}
+        inputs = len(held)  # of one element each
+        interface = Interface(tuple(signals[:inputs]), tuple(signals[inputs:]))
+        self.channels = {"c": Channel("c", interface, 0)}
 
     def events(self):
         return self._events
@@ -459,6 +461,67 @@ def test_what_is_no_number_is_right_only_where_both_are_none():
     row = one(line, gaps, interpolate=True)  # which ends earlier
     assert (row.status, row.rows) == ("other times", (4, 2, 3))
     assert one(Run({"y": [0.0, 1.5]}), gaps, interpolate=True).largest == 0.5
+
+
+def test_a_signal_is_held_where_its_source_is(subtests):
+    """An input that was held is no line, nor what is made of such inputs alone."""
+    rows = {"u": [0.0, 1.0, 0.0], "y": [0.0, 1.0, 0.0]}
+    steps = {"u": [0.0, 0.0, 1.0, 1.0, 0.0], "y": [0.0, 0.0, 1.0, 1.0, 0.0]}
+    for held, variability, expected in (
+        ([True], "continuous", {"c.u": "within", "c.y": "outside"}),
+        ([True], "inherited", {"c.u": "within", "c.y": "within"}),
+        ([False], "inherited", {"c.u": "outside", "c.y": "outside"}),
+    ):
+        with subtests.test(held=held, variability=variability):
+            options = {"held": held, "variability": variability}
+            a, b = Run(steps, [0, 9, 10, 19, 20], **options), Run(rows, [0, 10, 20], **options)
+            assert statuses(a, b, interpolate=True) == expected
+            assert statuses(a, b, tube=STEP / 2) == expected
+
+
+@pytest.mark.parametrize("variability", ["continuous", "discrete"])
+def test_a_tube_does_not_bridge_nan(variability):
+    """Neither of a signal nor of one of its elements; a line to NaN is NaN."""
+    values = np.array([[1.0, 1.0], [1.0, np.nan], [3.0, 3.0]])
+    b = Run({"y": values}, [0, 10, 20], variability=variability)
+    assert one(b, b, tube=2 * STEP).status == "equal"
+    for value, expected in ((2.0, "outside"), (np.nan, "within")):
+        a = Run(
+            {"y": np.where(np.isnan(values), value, values)}, [0, 10, 20], variability=variability
+        )
+        assert one(a, b, tube=2 * STEP).status == (expected if value == 2.0 else "equal")
+        row = one(a, b, tube=15 * STEP)
+        assert row.status == (expected if value == 2.0 else "equal")
+    near = Run({"y": [1.0, np.nan, 1.0]}, [0, 10, 20], variability=variability)
+    late = Run({"y": [1.0, np.nan, 1.0]}, [0, 11, 20], variability=variability)
+    assert one(near, late, tube=2 * STEP).status == "within"
+    if variability == "discrete":
+        assert one(near, late, tube=STEP / 2).status == "outside"
+
+
+def test_elements_have_rows_of_their_own():
+    """As two columns of a table have that were sampled in turn; nothing is between NaN and them."""
+    turns = np.array([[0.0, np.nan], [np.nan, 1.0], [2.0, np.nan], [np.nan, 3.0]])
+    a = Run({"y": turns}, [0, 2, 4, 6], optional=True)
+    b = Run({"y": np.arange(0.0, 3.5, 0.5).repeat(2).reshape(-1, 2)})
+    for options in ({"interpolate": True}, {"tube": STEP / 4}):
+        assert one(a, b, **options).status == "within"
+        assert one(a, a, **options).status == "equal"
+
+
+def test_what_one_run_has_alone_is_not_compared_and_said():
+    """A reference that ends early, and one of another time altogether."""
+    short, long = Run({"y": [0.0, 0.0]}), Run({"y": [0.0, 0.0, 9.0]})
+    for options in ({"interpolate": True}, {"tube": STEP}):
+        difference = diff(short, long, **options)
+        assert difference.within
+        assert difference.not_compared == (
+            "c: b has rows from 0.0 s to 0.002 s, a only from 0.0 s to 0.001 s",
+        )
+        assert not diff(long, short, **options).within
+    assert "no instant in common" in diff(short, Run({"y": [0.0]}, [10**9])).not_compared[0]
+    with pytest.raises(UsageError, match="tube"):
+        diff(short, long, tube=1e300)
 
 
 def test_what_has_nothing_to_compare_is_not_called_equal():
