@@ -72,6 +72,7 @@ def metrics(given: Given) -> None:
     The values are bit for bit those of a study with this run.
     """
     from cosim.report.tables.console import section_tables
+    from cosim.report.tables.logs import opened_recording
     from cosim.studies.metrics import missing_rows, open_whole, parse_metrics
 
     texts = {} if given.of is None else _metrics_of(given.of, str(given.log))
@@ -87,7 +88,7 @@ def metrics(given: Given) -> None:
             "with metrics"
         )
     parsed = parse_metrics(texts)
-    opened = open_whole(given.log)
+    opened = open_whole(opened_recording(given.log))
     values = parsed.of(opened)
     lacking = missing_rows(parsed, opened)
     if lacking:
@@ -129,11 +130,12 @@ def plot(given: Given) -> None:
     """Plot signals of one or several logs over time."""
     from cosim.report.plots.picture import PictureOptions
     from cosim.report.plots.runs import plot_run, plot_signals
+    from cosim.report.tables.logs import opened_recording
     from cosim.scenario.data_files.recording_file import is_recording
 
     options = PictureOptions(given.size, given.from_, given.to, given.title)
     is_file = list(map(is_recording, given.sources))
-    logs = [cosim.open_recording(source) for source in compress(given.sources, is_file)]
+    logs = [opened_recording(source) for source in compress(given.sources, is_file)]
     signals = [source for source, is_log in zip(given.sources, is_file, strict=True) if not is_log]
     if not logs:
         raise UsageError(f"expected a log (.mcap) or a table (.csv, ...), got {', '.join(signals)}")
@@ -219,10 +221,10 @@ def diff(given: Given) -> bool:
 
     Exit 1 if a signal is outside the tolerance.
     """
-    from cosim.report.tables.logs import show_difference
+    from cosim.report.tables.logs import opened_recording, show_difference
 
     check_plot(given.plot)
-    logs = cosim.open_recording(given.a), cosim.open_recording(given.b)
+    logs = opened_recording(given.a), opened_recording(given.b)
     signals = given.signals or ()
     width, part = given.tube or (0.0, 0.0)
     difference = cosim.diff(
@@ -272,8 +274,9 @@ def cat(given: Given) -> None:
         table = FollowedLog(given.log, *chosen)
     else:
         from cosim.log.text import choose
+        from cosim.report.tables.logs import opened_recording
 
-        table = choose(cosim.open_recording(given.log), *chosen)
+        table = choose(opened_recording(given.log), *chosen)
     lines = table_text(table, given.format)
     is_terminal = sys.stdout.isatty()
     with ended_by_interrupt(quietly=given.follow):
@@ -299,10 +302,11 @@ def convert(given: Given) -> None:
     """
     from cosim.log.conversion import convert as convert_log
     from cosim.log.text import choose
+    from cosim.report.tables.logs import opened_recording
 
-    recording = cosim.open_recording(given.log)
-    chosen = choose(recording, given.signals, given.from_, given.to)
-    convert_log(chosen, given.out, force=given.force)
+    chosen = choose(opened_recording(given.log), given.signals, given.from_, given.to)
+    for note in convert_log(chosen, given.out, force=given.force):
+        print_notice(note)
     print_text(given.out)
 
 

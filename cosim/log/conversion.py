@@ -39,8 +39,8 @@ _MOST_ROWS: Final = 2**16  # of a group of Parquet
 _BUFFER_BYTES: Final = 2**20
 
 
-def convert(choice: LogChoice, out: Path, *, force: bool = False) -> None:
-    """Write signals to a file, in the format that its ending names.
+def convert(choice: LogChoice, out: Path, *, force: bool = False) -> list[str]:
+    """Write signals to a file, in the format that its ending names; return what it warns of.
 
     Parameters
     ----------
@@ -66,6 +66,9 @@ def convert(choice: LogChoice, out: Path, *, force: bool = False) -> None:
         )
     if write is write_parquet:
         _arrow()
+    notes = []
+    if write in (write_npz, write_mat) and not _is_exact_in_s(choice):
+        notes = [f"{out}: times are rounded to doubles in s; .csv and .parquet have their ns"]
     target = UnfinishedLog(out, force=force)
     target.check_free()
     try:
@@ -76,6 +79,8 @@ def convert(choice: LogChoice, out: Path, *, force: bool = False) -> None:
         raise LogError(f"{out} cannot be written: {error.strerror or error}") from error
     finally:
         target.discard()
+    warn(notes)
+    return notes
 
 
 def write_csv(stream: BinaryIO, choice: LogChoice) -> None:
@@ -121,8 +126,6 @@ def _is_exact_in_s(choice: LogChoice) -> bool:
 
 def _by_component(choice: LogChoice) -> Iterator[tuple[str, Vector, dict[str, Matrix]]]:
     """Yield each component, its instants [s], and the values of its chosen signals."""
-    if not _is_exact_in_s(choice):
-        warn([f"{choice.run.label}: times rounded to doubles in s; .csv and .parquet have the ns"])
     names: dict[str, list[str]] = {}
     for name, port in choice.selection.items():
         names.setdefault(port.channel.name, []).append(name)

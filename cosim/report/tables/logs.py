@@ -16,6 +16,7 @@ from cosim.report.tables.console import Section, Shown, new_table
 from cosim.scenario.record import component_record
 
 if TYPE_CHECKING:
+    from cosim.core.recorded.run import RecordedRun
     from cosim.log.difference import EventsDifference, LogDifference
     from cosim.log.recovering import RecoveredLog
     from cosim.report.verification import Verification
@@ -118,6 +119,17 @@ def show_rotated(last: Log, wall: Mapping[str, float]) -> Shown:
         "each file has a part of the run; 'cosim merge' joins them, and 'cosim replay' of the "
         "last one replays the run"
     )
+
+
+def opened_recording(path: Path) -> RecordedRun:
+    """Open a recording; of a file of another tool print what is to be known of how it was read."""
+    from cosim.scenario.data_files.recording_file import open_recording  # which knows tables, too
+
+    opened = open_recording(path)
+    if opened.left_out is not None:
+        for warning in opened.warnings:
+            print_notice(warning.text)
+    return opened
 
 
 def show_difference(difference: LogDifference) -> Shown:

@@ -16,6 +16,7 @@ import numpy as np
 from cosim.arrays import Mask, Matrix, Nanoseconds, Vector, as_columns, is_absent, read_only
 from cosim.core.port import Port
 from cosim.core.recorded.run import RecordedRun
+from cosim.core.recorded.signals import RunMessage
 from cosim.core.recording import TimedRows
 from cosim.core.signals import Channel, Interface, Signal
 from cosim.errors import LogError, UsageError, listing, warn
@@ -70,17 +71,17 @@ def open_recording(path: str | Path) -> RecordedRun:
     [1.5, 2.0]
     """
     path = expanded(path)
-    if path.suffix.lower() in _ARRAYS:
-        arrays = _arrays(path)
-        if arrays is not None:
-            return arrays
-    match file_type(path):
-        case "table":
-            return _table(path)
-        case "log" if is_foreign(path):
-            return _messages(path)
-        case _:
-            return open_log(path)
+    run = _arrays(path) if path.suffix.lower() in _ARRAYS else None
+    if run is None:
+        match file_type(path):
+            case "table":
+                run = _table(path)
+            case "log" if is_foreign(path):
+                run = _messages(path)
+            case _:
+                return open_log(path)
+    warn(warning.text for warning in run.warnings)
+    return run
 
 
 def is_recording(path: str | Path) -> bool:
@@ -103,6 +104,8 @@ class FileRun(RecordedRun):
         In order of time; ABSENT where a signal has no row.
     left_out : mapping of name to str
         What cannot be read of the file, and why.
+    notes : sequence of str
+        What else is to be known of how it was read; they are its warnings.
     """
 
     def __init__(
@@ -110,9 +113,11 @@ class FileRun(RecordedRun):
         label: str,
         components: Mapping[str, _ComponentSamples],
         left_out: Mapping[str, str] = MappingProxyType({}),
+        notes: Sequence[str] = (),
     ) -> None:
         self._label = label
         self._left_out = left_out
+        self._notes = notes
         self._rows_of: dict[str, TimedRows] = {}
         self._channels: dict[str, Channel] = {}
         start = 0
@@ -159,6 +164,10 @@ class FileRun(RecordedRun):
         """
         raise LogError(f"{self.label} has no attachment {name!r}, as it is no log of cosim")
 
+    def messages(self) -> list[RunMessage]:
+        """Return what is to be known of how the file was read."""
+        return [RunMessage(0, "warning", "run", text) for text in self._notes]
+
     @property
     def held(self) -> Mapping[str, Mask]:
         """It has no inputs."""
@@ -197,7 +206,6 @@ def _nanoseconds(label: str, times: Vector) -> Nanoseconds:
 def _table(path: Path) -> FileRun:
     """Read a table; a component has rows where one of its cells is not empty."""
     data = field_data(path, jumps=True)
-    warn(data.diagnostics)
     time_ns = np.empty(0, np.int64) if data.time_ns is None else data.time_ns
     declared = _declared(path)
     components: dict[str, list[tuple[Signal, Matrix]]] = defaultdict(list)
@@ -209,7 +217,8 @@ def _table(path: Path) -> FileRun:
             name if dot else component, values.shape[1], found.unit, optional=True, **about
         )
         components[component if dot else TABLE].append((signal, values))
-    return FileRun(str(path), {name: (time_ns, own) for name, own in components.items()})
+    samples = {name: (time_ns, own) for name, own in components.items()}
+    return FileRun(str(path), samples, notes=data.diagnostics)
 
 
 def _declared(path: Path) -> dict[str, dict[str, Any]]:
