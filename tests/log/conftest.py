@@ -1,8 +1,10 @@
 """Recordings that tests only read."""
 
+import threading
+
 import pytest
 
-from cosim.log import open_log
+from cosim.log import open_log, store
 from tests.log.recordings import record
 
 
@@ -20,3 +22,20 @@ def long_log(tmp_path_factory):
     path = tmp_path_factory.mktemp("long") / "a.mcap"
     rows = record(path, steps=1000)
     return open_log(path), rows
+
+
+@pytest.fixture
+def flushing(monkeypatch):
+    """Return a lock that a run holds while it writes to its log.
+
+    A kill leaves what a copy has that is made under it; one of a file that changes has neither.
+    """
+    lock = threading.Lock()
+    add = store.LogStore.add
+
+    def add_alone(own, content):
+        with lock:
+            add(own, content)
+
+    monkeypatch.setattr(store.LogStore, "add", add_alone)
+    return lock

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 import shutil
-import threading
 
 import numpy as np
 import pytest
@@ -319,16 +318,8 @@ def test_an_uncompressed_chunk_is_not_taken_for_others(tmp_path):
     assert recovery.log.status == "complete"
 
 
-def test_a_killed_run_is_recovered(tmp_path, monkeypatch):
-    """All that a reader sees of its file; a kill leaves it as a copy between two flushes is."""
-    flushing = threading.Lock()
-    add = store.LogStore.add
-
-    def add_alone(own, content):
-        with flushing:
-            add(own, content)
-
-    monkeypatch.setattr(store.LogStore, "add", add_alone)
+def test_a_killed_run_is_recovered(tmp_path, flushing):
+    """All that a reader sees of its file."""
     scenario = cosim.load("academic").set({"scenario.stop": 1000.0})
     with scenario.start(out=tmp_path / "a.mcap") as run:
         while not open_log(tmp_path / "a.mcap").end_ns:

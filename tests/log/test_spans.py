@@ -354,13 +354,14 @@ def test_a_changed_row_of_an_earlier_part_is_found(run):
 
 
 @pytest.mark.slow
-def test_a_last_part_without_a_hash_is_not_reported_to_have_one(tmp_path):
+def test_a_last_part_without_a_hash_is_not_reported_to_have_one(tmp_path, flushing):
     """As of a run that was killed; the hash of what is joined was recorded by no run."""
     killed = tmp_path / "killed"
 
     def copy(time, end):
-        if not killed.exists() and (tmp_path / "run.part2.mcap").exists():
-            shutil.copytree(tmp_path, killed)
+        with flushing:
+            if not killed.exists() and (tmp_path / "run.part2.mcap").exists():
+                shutil.copytree(tmp_path, killed)
 
     options = {"rotate": "0.8s", "flush": 1e-3, "block": 50, "progress": copy}
     cosim.run("academic", set={"scenario.stop": 2.0}, out=tmp_path / "run.mcap", **options)
