@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Final, Literal, NamedTuple, Protocol, Self, TypeAlias, runtime_checkable
@@ -22,6 +22,16 @@ MessageLevel: TypeAlias = Literal["debug", "info", "warning", "error", "fatal"]
 INNER_STEP: Final = "inner step"  # of a component: category of a message, key of the results
 SHARED_INNER_STEP: Final = "inner step in a loop"  # of it, or of another one of its loop
 TimedRows: TypeAlias = tuple[Nanoseconds, Matrix]  # the rows of a component and their instants
+
+
+def joined(blocks: Iterable[TimedRows]) -> TimedRows:
+    """Return the rows of at least one block as one; what is one already is not copied."""
+    parts = list(blocks)
+    if len(parts) == 1:
+        return parts[0]
+    return np.concatenate([times for times, _ in parts]), np.concatenate([r for _, r in parts])
+
+
 # a signal or elements of it, or several that are stacked
 SignalNames: TypeAlias = str | Port | Sequence[str | Port]
 
@@ -258,6 +268,16 @@ class Recording(Protocol):
         The rows have its applied inputs, then its outputs. With bounds [ns], both included, they
         are those between them. There is a block at least, which may have no rows.
         """
+        ...
+
+    def blocks_of(
+        self,
+        components: Sequence[str],
+        *,
+        first_ns: int | None = None,
+        last_ns: int | None = None,
+    ) -> Iterator[tuple[str, Nanoseconds, Matrix]]:
+        """Yield names, times and rows of components as they come, each in order of time."""
         ...
 
     def time_ns(self, component: str) -> Nanoseconds:

@@ -25,6 +25,7 @@ from numpy.lib.format import write_array
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.recorded.joined_rows import TIME
+from cosim.core.recording import joined
 from cosim.errors import LogError, UsageError, optional_library, warn
 from cosim.instants import EXACT, NANOSECONDS
 from cosim.log.files import UnfinishedLog
@@ -130,9 +131,7 @@ def _by_component(choice: LogChoice) -> Iterator[tuple[str, Vector, dict[str, Ma
     for name, port in choice.selection.items():
         names.setdefault(port.channel.name, []).append(name)
     for component, own in names.items():
-        blocks = list(choice.run.blocks(component))
-        time_ns = np.concatenate([times for times, _ in blocks])
-        rows = np.concatenate([part for _, part in blocks])
+        time_ns, rows = joined(choice.run.blocks(component))
         values = {
             name: np.ascontiguousarray(rows[:, choice.selection[name].columns]) for name in own
         }

@@ -34,7 +34,7 @@ from cosim.core.recorded.joined_rows import numbered_instants
 from cosim.core.recorded.partial import declared_channels
 from cosim.core.recorded.selection import is_pattern, matches, select_signals
 from cosim.core.recorded.signals import RecordedPort, find_signal
-from cosim.core.recording import Recording, SignalEvent, TimedRows
+from cosim.core.recording import Recording, SignalEvent, TimedRows, joined
 from cosim.errors import LogError, UnknownSignalError, UsageError, nearest, option
 from cosim.instants import NANOSECONDS
 from cosim.log.between import distance, distance_within, held_elements, measured, values_at
@@ -504,8 +504,7 @@ def windows(
                 block = next(sources[side], None)
                 is_open[side] = block is not None
                 if block is not None:
-                    times = np.concatenate([times, block[0]])
-                    rows = np.concatenate([rows, block[1]])
+                    times, rows = joined([(times, rows), block])
             waiting[side] = times, rows
         ends = [int(times[-1]) for side, (times, _) in enumerate(waiting) if is_open[side]]
         taken = []
@@ -534,7 +533,7 @@ def _compare_between(
     In a tube those of b within a are compared with what a has near them: between the instants of a
     around them, at least, as what a has there is not known. Returns the spans of time of both.
     """
-    (times_a, rows_a), (times_b, rows_b) = _joined(a), _joined(b)
+    (times_a, rows_a), (times_b, rows_b) = joined(a), joined(b)
     for pair, (held_a, held_b) in zip(group, held, strict=True):
         pair.extend_scale(rows_a)
         values_a, values_b = rows_a[:, pair.a.columns], pair.converted(rows_b[:, pair.b.columns])
@@ -579,12 +578,6 @@ def _compare_element(
         own = values_at(times, *a, is_line)
         apart = np.minimum(distance(values, own), distance_within(values, span, *a, is_line))
         pair.take(times, own, values, apart, element)
-
-
-def _joined(blocks: Iterator[TimedRows]) -> TimedRows:
-    parts = list(blocks)
-    times = np.concatenate([times for times, _ in parts])
-    return times, np.concatenate([rows for _, rows in parts])
 
 
 def _within(

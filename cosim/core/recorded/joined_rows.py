@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import floor
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from cosim.arrays import NAN, Matrix, Nanoseconds, Vector, is_absent
 from cosim.core.recorded.selection import SelectedColumn, select_signals, selected_columns
 from cosim.core.recorded.signals import RecordedPort
-from cosim.core.recording import Recording, TimedRows
+from cosim.core.recording import Recording, TimedRows, joined
 from cosim.errors import optional_library
 from cosim.instants import NANOSECONDS
 from cosim.units import units_text
@@ -59,21 +59,7 @@ class JoinedRows:
         return JoinedRows(self.time_ns[begin:end], self.values[begin:end], missing)
 
 
-class TableSource(Recording, Protocol):
-    """What a table is made of: a finished run that can be read in one pass."""
-
-    def blocks_of(
-        self,
-        components: Sequence[str],
-        *,
-        first_ns: int | None = None,
-        last_ns: int | None = None,
-    ) -> Iterator[tuple[str, Nanoseconds, Matrix]]:
-        """Yield names, times and rows of components as they come, each in order of time."""
-        ...
-
-
-def joined_rows(run: TableSource, columns: Sequence[SelectedColumn]) -> Iterator[JoinedRows]:
+def joined_rows(run: Recording, columns: Sequence[SelectedColumn]) -> Iterator[JoinedRows]:
     """Yield a table of signals, some rows at a time, in order of time.
 
     Nothing is kept but rows of one component that wait for those of another: of a file little, as
@@ -130,10 +116,7 @@ def _places(
 
 def _take(waiting: list[TimedRows], end: float) -> TimedRows:
     """Take the rows before an instant; the others go on waiting."""
-    times, rows = waiting[0]
-    if len(waiting) > 1:
-        times = np.concatenate([own for own, _ in waiting])
-        rows = np.concatenate([own for _, own in waiting])
+    times, rows = joined(waiting)
     count = len(times) if end == np.inf else int(np.searchsorted(times, int(end)))
     waiting[:] = [(times[count:], rows[count:])]
     return times[:count], rows[:count]
@@ -182,7 +165,7 @@ def numbered_instants(time_ns: Nanoseconds) -> NDArray[np.void]:
 # --- frames of other libraries, which are imported only when they are used ---
 
 
-def to_pandas(run: TableSource, signals: Iterable[str] | str | None) -> pandas.DataFrame:
+def to_pandas(run: Recording, signals: Iterable[str] | str | None) -> pandas.DataFrame:
     """Return chosen signals as a frame: a column an element, the index is the time [s]."""
     module = optional_library("pandas", "to_pandas needs", "pandas")
     _, columns, table = _chosen(run, signals)
@@ -191,7 +174,7 @@ def to_pandas(run: TableSource, signals: Iterable[str] | str | None) -> pandas.D
     return module.DataFrame(table.values, index=index, columns=names)
 
 
-def to_polars(run: TableSource, signals: Iterable[str] | str | None) -> polars.DataFrame:
+def to_polars(run: Recording, signals: Iterable[str] | str | None) -> polars.DataFrame:
     """Return chosen signals as a frame: a column an element, after that of the time [s]."""
     module = optional_library("polars", "to_polars needs", "polars")
     _, columns, table = _chosen(run, signals)
@@ -204,7 +187,7 @@ def to_polars(run: TableSource, signals: Iterable[str] | str | None) -> polars.D
     return module.DataFrame(series)
 
 
-def to_xarray(run: TableSource, signals: Iterable[str] | str | None) -> xarray.Dataset:
+def to_xarray(run: Recording, signals: Iterable[str] | str | None) -> xarray.Dataset:
     """Return chosen signals as variables over the time [s], those of several elements in 2-D.
 
     Their attributes have the units, and what the signals are.
@@ -223,7 +206,7 @@ def to_xarray(run: TableSource, signals: Iterable[str] | str | None) -> xarray.D
 
 
 def _chosen(
-    run: TableSource, signals: Iterable[str] | str | None
+    run: Recording, signals: Iterable[str] | str | None
 ) -> tuple[Mapping[str, RecordedPort], Sequence[SelectedColumn], JoinedRows]:
     """Return chosen signals, their elements, and all rows of these."""
     selection = select_signals(run.channels, signals, source=run.label)

@@ -39,6 +39,7 @@ from cosim.core.recording import (
     SignalNames,
     Substep,
     TimedRows,
+    joined,
 )
 from cosim.core.signals import Channel, Signal
 from cosim.errors import LogError, UnknownSignalError, UsageError, quoted
@@ -653,14 +654,8 @@ class RecordedWindow(RecordedRun):
 
     def _timed_rows(self, channel: Channel) -> TimedRows:
         if channel.name not in self._rows:
-            blocks = list(self.blocks(channel.name))
-            time_ns, rows = blocks[0]
-            if len(blocks) > 1:
-                time_ns = np.concatenate([times for times, _ in blocks])
-                rows = np.concatenate([part for _, part in blocks])
-            time_ns.flags.writeable = False
-            rows.flags.writeable = False
-            self._rows[channel.name] = time_ns, rows
+            time_ns, rows = joined(self.blocks(channel.name))
+            self._rows[channel.name] = read_only(time_ns), read_only(rows)
         return self._rows[channel.name]
 
     def blocks_of(
