@@ -156,6 +156,7 @@ ROOMS = {
         "following",
         "difference",
         "between",
+        "pairs",
         "diff",
         "background",
         "store",
