@@ -165,7 +165,10 @@ def _apart_in_time(pair: Pair, a: _Extent, b: _Extent, *, is_between: bool) -> s
     in_a, in_b = (f"{begin / NANOSECONDS} s to {end / NANOSECONDS} s" for begin, end in (a, b))
     name = pair.a.channel.name
     if not any(pair.rows[2:]):
-        return f"{name}: no instant in common, a has rows from {in_a}, b from {in_b}"
+        return (
+            f"{name}: no instant in common, a has rows from {in_a}, b from {in_b}; a recording "
+            "begins at t = 0 in a run in which it takes the place of a component (swap)"
+        )
     if is_between and (b[0] < a[0] or b[1] > a[1]):
         return f"{name}: b has rows from {in_b}, a only from {in_a}"
     return ""
