@@ -193,6 +193,7 @@ def test_a_topic_of_two_encodings_has_the_fields_of_both(tmp_path):
         ([1], [2, "x"], ("message 2", "text")),
         ([1], [0] * 1001, ("message 2", "1001 elements")),
         ([{"b": 1}], [{"b": 1}] * 101, ("message 2", "101 of them")),
+        ({"k": 1}, {f"k{i}": i for i in range(10_001)}, ("message 2", "10000 fields")),
         (json.loads('{"b": ' * 60 + "1" + "}" * 60), None, ("message 1", "more than 50")),
     ],
 )

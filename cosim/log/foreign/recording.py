@@ -173,10 +173,10 @@ class _Node:
     def all_inside(self, steps: Steps = ()) -> Iterator[tuple[Steps, _Node]]:
         """Yield this place and those inside it, in the order in which they were found."""
         yield steps, self
-        for name, place in self.inside.items():
-            yield from place.all_inside((*steps, name))
-        for index, place in enumerate(self.elements):
-            yield from place.all_inside((*steps, index))
+        for name, node in self.inside.items():
+            yield from node.all_inside((*steps, name))
+        for index, node in enumerate(self.elements):
+            yield from node.all_inside((*steps, index))
 
 
 class _TopicRows:
@@ -184,10 +184,11 @@ class _TopicRows:
 
     def __init__(self) -> None:
         self._root = _Node()
-        self._places = 1
+        self._nodes = 1
         self._stamps = array("q")
         self._row = -1  # number of the message, from 0
         self._kept = 0
+        self._format: MessageFormat  # of the message
         self._formats: dict[ForeignChannel, MessageFormat] = {}
 
     def take(self, message: ForeignMessage) -> int:
@@ -206,7 +207,7 @@ class _TopicRows:
         try:
             self._stamps.append(message.log_time)
             self._format = found
-            self._take(self._root, found.decode(bytes(message.data)), 0)
+            self._keep(self._root, found.decode(bytes(message.data)), 0)
         except FieldProblem as error:
             self._refuse(self._root, str(error))
         except OverflowError:
@@ -216,122 +217,116 @@ class _TopicRows:
             )
         return self._kept - before
 
-    def _take(self, place: _Node, value: Any, level: int) -> None:
-        """Keep what a message has at a place."""
-        if value is None or place.problem:
+    def _keep(self, node: _Node, value: Any, level: int) -> None:
+        """Keep what a message has at a place, or leave the place out."""
+        if value is None or node.problem:
             return
-        if isinstance(value, (int, float)):
-            if self._is(place, _NUMBER):
-                self._keep_number(place, value)
-        elif isinstance(value, (str, bytes)):
-            self._is(place, _TEXT)
-        elif level > MOST_LEVELS:
-            self._refuse(place, f"more than {MOST_LEVELS} objects and arrays inside each other")
-        elif isinstance(value, Sequence):
-            self._take_array(place, value, level)
-        else:
-            self._take_object(place, value, level)
+        try:
+            if isinstance(value, int | float):
+                if self._is(node, _NUMBER):
+                    self._keep_number(node, value)
+            elif isinstance(value, str | bytes):
+                self._is(node, _TEXT)
+            elif level > MOST_LEVELS:
+                raise FieldProblem(f"more than {MOST_LEVELS} objects and arrays inside each other")
+            elif isinstance(value, Sequence):
+                self._keep_array(node, value, level)
+            else:
+                self._keep_object(node, value, level)
+        except FieldProblem as error:
+            self._refuse(node, str(error))
 
-    def _take_object(self, place: _Node, value: Any, level: int) -> None:
+    def _keep_object(self, node: _Node, value: Any, level: int) -> None:
         message_format = self._format
         stamp = message_format.stamp(value)
-        if self._is(place, _OBJECT if stamp is None else _TIME) and stamp is not None:
-            self._keep_number(place, stamp)
-        if place.problem:
+        if not self._is(node, _OBJECT if stamp is None else _TIME):
             return
+        if stamp is not None:
+            self._keep_number(node, stamp)
         for name in message_format.names(value) or ():
-            inside = place.inside.get(name)
+            inside = node.inside.get(name)
             if inside is None:
-                inside = place.inside[name] = self._new_place()
+                inside = node.inside[name] = self._new_node()
             try:
                 item = message_format.field(value, name)
             except FieldProblem as error:
                 self._refuse(inside, str(error))
             else:
-                self._take(inside, item, level + 1)
+                self._keep(inside, item, level + 1)
 
-    def _take_array(self, place: _Node, items: Sequence[Any], level: int) -> None:
+    def _keep_array(self, node: _Node, items: Sequence[Any], level: int) -> None:
         count = len(items)
-        if count > MOST_ELEMENTS and not isinstance(items[0], (str, bytes)):
-            self._refuse(place, f"an array of {count} elements, more than {MOST_ELEMENTS}")
-            return
+        if count > MOST_ELEMENTS and not isinstance(items[0], str | bytes):
+            raise FieldProblem(f"an array of {count} elements, more than {MOST_ELEMENTS}")
         types = set(map(type, items)) - _NONE
         if not types:
             return
         if types <= _TEXTS:
-            self._is(place, _TEXT)
+            self._is(node, _TEXT)
         elif types <= _TEXTS | _NUMBERS:
-            if self._is(place, _ARRAY):
-                self._keep_array(place, items, types)
-        elif self._is(place, _OBJECTS):
+            if self._is(node, _ARRAY):
+                self._keep_row(node, items, types)
+        elif self._is(node, _OBJECTS):
             if count > MOST_OBJECTS:
-                self._refuse(place, f"{_OBJECTS}, {count} of them, more than {MOST_OBJECTS}")
-                return
-            while len(place.elements) < count:
-                place.elements.append(self._new_place())
-            for element, item in zip(place.elements, items, strict=False):
-                self._take(element, item, level + 1)
+                raise FieldProblem(f"{_OBJECTS}, {count} of them, more than {MOST_OBJECTS}")
+            while len(node.elements) < count:
+                node.elements.append(self._new_node())
+            for element, item in zip(node.elements, items, strict=False):
+                self._keep(element, item, level + 1)
 
-    def _new_place(self) -> _Node:
-        self._places += 1
-        if self._places > MOST_LISTED:
-            raise FieldProblem(f"more than {MOST_LISTED} fields up to here")
+    def _new_node(self) -> _Node:
+        if self._nodes == MOST_LISTED:
+            raise FieldProblem(f"more than {MOST_LISTED} fields in the topic")
+        self._nodes += 1
         return _Node()
 
-    def _is(self, place: _Node, kind: str) -> bool:
+    def _is(self, node: _Node, kind: str) -> bool:
         """Note what is at a place; return whether numbers of it can be kept."""
-        if place.kind != kind:
-            place.kind = kind
-            place.kinds.setdefault(kind, self._row + 1)
-            if len(place.kinds) > 1 and not _NUMERIC.isdisjoint(place.kinds):
-                texts = [f"{kind} in message {first}" for kind, first in place.kinds.items()]
-                self._leave_out(place, f"it is {', '.join(texts)}")
-        return not place.problem
+        if node.kind != kind:
+            node.kind = kind
+            node.kinds.setdefault(kind, self._row + 1)
+            if len(node.kinds) > 1 and not _NUMERIC.isdisjoint(node.kinds):
+                texts = [f"{kind} in message {first}" for kind, first in node.kinds.items()]
+                self._leave_out(node, f"it is {', '.join(texts)}")
+        return not node.problem
 
-    def _keep_number(self, place: _Node, value: Any) -> None:
-        try:
-            found = number(value)
-        except FieldProblem as error:
-            self._refuse(place, str(error))
-            return
-        place.is_discrete = place.is_discrete and type(value) in _DISCRETE
-        missing = self._row - len(place.numbers)
+    def _keep_number(self, node: _Node, value: Any) -> None:
+        found = number(value)
+        node.is_discrete = node.is_discrete and type(value) in _DISCRETE
+        missing = self._row - len(node.numbers)
         if missing:
-            place.numbers.extend(repeat(ABSENT, missing))
-        place.numbers.append(found)
+            node.numbers.extend(repeat(ABSENT, missing))
+        node.numbers.append(found)
         self._kept += missing + 1
 
-    def _keep_array(self, place: _Node, items: Sequence[Any], types: Collection[type]) -> None:
+    def _keep_row(self, node: _Node, items: Sequence[Any], types: Collection[type]) -> None:
         if types == {float} and None not in items and all(map(math.isfinite, items)):
             row: Sequence[float] = items
         else:
-            try:
-                row = [ABSENT if item is None else number(item) for item in items]
-            except FieldProblem as error:
-                self._refuse(place, str(error))
-                return
-        place.is_discrete = place.is_discrete and _DISCRETE.issuperset(types)
-        missing = self._row - len(place.lengths)
-        place.lengths.extend(repeat(0, missing))
-        place.lengths.append(len(row))
-        place.numbers.extend(row)
+            row = [ABSENT if item is None else number(item) for item in items]
+        node.is_discrete = node.is_discrete and _DISCRETE.issuperset(types)
+        missing = self._row - len(node.lengths)
+        node.lengths.extend(repeat(0, missing))
+        node.lengths.append(len(row))
+        node.numbers.extend(row)
         self._kept += missing + 1 + len(row)
 
-    def _refuse(self, place: _Node, problem: str) -> None:
+    def _refuse(self, node: _Node, problem: str) -> None:
         """Leave a place out because of what is in this message."""
-        self._leave_out(place, f"message {self._row + 1}: {problem}")
+        self._leave_out(node, f"message {self._row + 1}: {problem}")
 
-    def _leave_out(self, place: _Node, problem: str) -> None:
-        for _, inside in place.all_inside():
+    def _leave_out(self, node: _Node, problem: str) -> None:
+        for _, inside in node.all_inside():
             self._kept -= len(inside.numbers) + len(inside.lengths)
-        place.clear()
-        place.problem = problem
+            self._nodes -= inside is not node
+        node.clear()
+        node.problem = problem
 
     @property
     def size(self) -> int:
         """How many numbers the result has."""
-        places = self._root.all_inside()
-        return len(self._stamps) * sum(place.size() for _, place in places)
+        nodes = self._root.all_inside()
+        return len(self._stamps) * sum(node.size() for _, node in nodes)
 
     def result(self) -> tuple[Nanoseconds, list[RecordedField], dict[str, str]]:
         """Return the times, the fields, and what is left out: of all, the name is empty."""
@@ -339,25 +334,25 @@ class _TopicRows:
         order = np.argsort(stamps, kind="stable")
         fields = []
         problems = {}
-        for name, place in self._named():
-            if place.problem:
-                problems[name] = place.problem
-            elif place.numbers:
-                values = place.values(len(stamps))[order]
-                fields.append(RecordedField(name or VALUE, values, place.is_discrete))
+        for name, node in self._named():
+            if node.problem:
+                problems[name] = node.problem
+            elif node.numbers:
+                values = node.values(len(stamps))[order]
+                fields.append(RecordedField(name or VALUE, values, node.is_discrete))
         return stamps[order], fields, problems
 
     def _named(self) -> Iterator[tuple[str, _Node]]:
-        """Yield all places with their names, in quotes where others are written so, too."""
-        places = list(self._root.all_inside())
-        texts = [path_text(steps) for steps, _ in places]
+        """Yield all nodes with their names, in quotes where others are written so, too."""
+        nodes = list(self._root.all_inside())
+        texts = [path_text(steps) for steps, _ in nodes]
         counts = Counter(texts)
-        for text, (_, place) in zip(texts, places, strict=True):
-            if place.lengths:
-                counts.update(f"{text}[{index}]" for index in range(place.size()))
-        for text, (steps, place) in zip(texts, places, strict=True):
+        for text, (_, node) in zip(texts, nodes, strict=True):
+            if node.lengths:
+                counts.update(f"{text}[{index}]" for index in range(node.size()))
+        for text, (steps, node) in zip(texts, nodes, strict=True):
             is_plain = counts[text] == 1 and _is_plain(steps, text)
-            yield text if is_plain else exact_text(steps), place
+            yield text if is_plain else exact_text(steps), node
 
 
 def _is_plain(steps: Steps, text: str) -> bool:
