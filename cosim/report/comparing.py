@@ -421,7 +421,7 @@ def _ports(component: str, path: str, mapped: Sequence[str]) -> list[str]:
     Of an MCAP of another tool these are the mapped fields of its topics.
     """
     from cosim.fmi.reading.model_description import read
-    from cosim.log.foreign.topics import read_channels
+    from cosim.log.foreign.topics import ForeignFile
     from cosim.scenario.data_files.field_file import field_data
 
     table = component_table(component, path)
@@ -432,7 +432,8 @@ def _ports(component: str, path: str, mapped: Sequence[str]) -> list[str]:
             channel = open_log(table["log"]).channels.get(component)
             return [] if channel is None else list(channel.by_name)
         if file_type(table["path"]) == "log":
-            topics = tuple(channel.topic for channel in read_channels(Path(table["path"])))
+            channels = ForeignFile(Path(table["path"])).channels
+            topics = tuple(channel.topic for channel in channels)
             return [name for name in mapped if name.lstrip('"').startswith(topics)]
         return [signal.name for signal in field_data(Path(table["path"])).signals]
     except CosimError:

@@ -9,7 +9,9 @@ import pytest
 from mcap_ros2.decoder import DecoderFactory as RosDecoders
 from mcap_ros2.writer import Writer as RosWriter
 
+from cosim.arrays import is_absent
 from cosim.errors import LogError
+from cosim.log.foreign.recording import read_recording
 from tests.log.foreign_files import COUNT, EPOCH, STEP, decoded, raw_file, read
 
 IMU = """\
@@ -112,6 +114,29 @@ def test_fields_of_ros_are_read_together(imu):
         np.testing.assert_array_equal(samples.time_ns, EPOCH + (10**9 + 1) * number)
 
 
+def test_a_recording_of_ros_has_what_the_stock_decoder_reads(imu):
+    """Sequences as long as their longest; elements of arrays of messages are fields."""
+    path, messages = imu
+    (topic,), left_out = read_recording(path)
+    assert left_out == {}
+    found = {field.name: field.values for field in topic.fields}
+    names = [
+        "header.stamp", "header.stamp.sec", "header.stamp.nanosec", "covariance", "counts",
+        *(f"{axis}.{part}" for axis in ("axes[0]", "axes[1]", "more[0]", "more[1]", "more[2]")
+          for part in ("number", "x", "y")),
+        "on", "scale", "ticks", "lasting", "lasting.sec", "lasting.nanosec", "last",
+    ]  # fmt: skip
+    assert list(found) == names
+    for index, message in enumerate(messages):
+        counts = found["counts"][index]
+        assert counts[: len(message.counts)].tolist() == message.counts
+        assert is_absent(counts[len(message.counts) :]).all()
+        third = message.more[2].y if len(message.more) > 2 else []
+        assert found["more[2].y"][index][~is_absent(found["more[2].y"][index])].tolist() == third
+        assert found["axes[1].x"][index].tolist() == [message.axes[1].x]
+        assert found["covariance"][index].tolist() == message.covariance
+
+
 def test_fields_of_ros_that_are_no_numbers_are_refused(imu, subtests):
     """With the field, and what there is instead."""
     for field, text in [
@@ -158,13 +183,13 @@ def test_damaged_messages_and_schemas_of_ros_are_refused(tmp_path, subtests):
             "float64[] x",
             struct.pack("<I", 10**9),
             {},
-            "message 1: the message of 8 bytes cannot be decoded",
+            "message 1: the message of 8 bytes ends within its fields",
         ),
         (
             "float64[] x",
             struct.pack("<I12x", 9),
             {},
-            "message 1: the message of 20 bytes cannot be decoded",
+            "message 1: the message of 20 bytes ends within its fields",
         ),
         ("float64 x", b"", {"encapsulation": b"\0\7\0\0"}, "plain CDR .* got serialization 7"),
         ("float64 x", b"", {"encapsulation": b"\0"}, "expected CDR, got a message of 1 bytes"),

@@ -185,28 +185,35 @@ def numbers(value: Any) -> list[float]:
         If it is not a number, infinite, or an integer that no float64 is.
     """
     if isinstance(value, Sequence) and not isinstance(value, str | bytes):
-        return [_number(item) for item in value]
-    return [_number(value)]
+        return [number(item) for item in value]
+    return [number(value)]
 
 
-def _number(value: Any) -> float:
+def number(value: Any) -> float:
+    """Return a value as a number; NaN: there is none.
+
+    Raises
+    ------
+    FieldProblem
+        As from :func:`numbers`.
+    """
     if value is None:
         return NAN
-    if isinstance(value, StampNs):
-        return value / NANOSECONDS
     if not isinstance(value, int | float):
         raise FieldProblem(f"expected a number, got {_what(value)}")
     try:
-        number = float(value)
+        if isinstance(value, StampNs):
+            return value / NANOSECONDS
+        found = float(value)
     except OverflowError:
-        number = NAN
-    if abs(number) == math.inf:
+        raise FieldProblem("expected a number below 2**1024") from None
+    if abs(found) == math.inf:
         raise FieldProblem(f"expected a finite number, got {value}")
-    if isinstance(value, int) and number != value:  # bool, enumerations too
+    if isinstance(value, int) and found != value:  # bool, enumerations too
         raise FieldProblem(
             f"expected an integer that a float64 represents (up to 2**53), got {value}"
         )
-    return number
+    return found if found == found else NAN
 
 
 def _what(value: Any) -> str:

@@ -165,7 +165,7 @@ def _elements(value: Any, step: int | range, before: Steps) -> Any:
 
 # --- JSON ---
 
-_MOST_LEVELS: Final = 50  # of objects and arrays in which fields are listed
+MOST_LEVELS: Final = 50  # of objects and arrays in which fields are listed
 _STAMPS: Final = (
     ("sec", "nsec"),
     ("sec", "nanosec"),
@@ -186,10 +186,10 @@ class JsonFormat(MessageFormat):
         tree = self.decode(sample)
         for steps, type_name in self._leaves((), tree):
             text = path_text(steps)
-            yield text if self._is_plain(steps, text, tree) else exact_text(steps), type_name
+            yield text if self.is_plain(steps, text, tree) else exact_text(steps), type_name
 
-    def _is_plain(self, steps: Steps, text: str, tree: Any) -> bool:
-        """Return whether a text without quotes names a field, and no other."""
+    def is_plain(self, steps: Steps, text: str, tree: Any) -> bool:
+        """Return whether a text without quotes names a field of a message, and no other."""
         try:
             return [place for place, _ in self.places(tree, parse_path(text))] == [steps]
         except FieldProblem:
@@ -197,7 +197,7 @@ class JsonFormat(MessageFormat):
 
     def _leaves(self, steps: Steps, value: Any) -> Iterator[tuple[Steps, str]]:
         """Yield the paths of numbers, arrays of numbers and times, with their types."""
-        if len(steps) > _MOST_LEVELS:
+        if len(steps) > MOST_LEVELS:
             return
         inside: Iterable[tuple[Step, Any]] = ()
         match value:
@@ -233,7 +233,7 @@ class JsonFormat(MessageFormat):
 
     def stamp(self, message: Any) -> StampNs | None:
         """Return an object of seconds and nanoseconds as a time; None: it is none."""
-        for pair in _STAMPS:
+        for pair in _STAMPS if len(message) == 2 else ():
             if message.keys() == set(pair):
                 seconds, nanoseconds = (message[name] for name in pair)
                 if type(seconds) is type(nanoseconds) is int:

@@ -134,7 +134,11 @@ class RosFormat(MessageFormat):
         _check_encapsulation(data)
         try:
             return self._decoder(data)
-        except (struct.error, IndexError, NotImplementedError, ValueError, MemoryError) as error:
+        except struct.error as error:
+            raise FieldProblem(
+                f"the message of {len(data)} bytes ends within its fields"
+            ) from error
+        except (IndexError, NotImplementedError, ValueError, MemoryError) as error:
             raise FieldProblem(
                 f"the message of {len(data)} bytes cannot be decoded: {error}"
             ) from error
@@ -146,7 +150,7 @@ class RosFormat(MessageFormat):
     def field(self, message: Any, name: str) -> Any:
         """Return a field of a message."""
         value = getattr(message, name) if name in (self.names(message) or ()) else MISSING
-        return list(value) if isinstance(value, bytes) else value
+        return memoryview(value) if isinstance(value, bytes) else value
 
     def stamp(self, message: Any) -> StampNs | None:
         """Return a Time or a Duration."""

@@ -34,12 +34,11 @@ from cosim.log.foreign.fields import (
 from cosim.log.foreign.formats import JsonFormat, MessageFormat, ProtobufFormat
 from cosim.log.foreign.topics import (
     ForeignChannel,
+    ForeignFile,
     ForeignMessage,
     ForeignSchema,
     Instants,
     Spacing,
-    read_channels,
-    read_messages,
     spacing_of,
 )
 
@@ -85,7 +84,6 @@ def read_fields(
     *,
     time: str = LOG_TIME,
     time_unit_ns: int = NANOSECONDS,
-    is_lenient: bool = False,
 ) -> list[FieldSamples]:
     """Read fields of messages, such as ``/drive/state.position`` and ``/joints.effort[0:3]``.
 
@@ -97,8 +95,6 @@ def read_fields(
         ``"log_time"``, ``"publish_time"``, or a field of the same messages, ``"header.stamp"``.
     time_unit_ns : int
         What a number that is a time counts, in ns.
-    is_lenient : bool
-        Leave out fields that no message has.
 
     Raises
     ------
@@ -107,7 +103,8 @@ def read_fields(
         always the same number of elements; a time is none.
     """
     channels: dict[str, list[ForeignChannel]] = defaultdict(list)
-    for channel in read_channels(path):
+    file = ForeignFile(path)
+    for channel in file.channels:
         channels[channel.topic].append(channel)
     asked: dict[str, dict[str, str]] = defaultdict(dict)
     for name in fields:
@@ -118,7 +115,7 @@ def read_fields(
         collectors[topic] = _Collector(path, channels[topic], paths, time, time_unit_ns)
     kept = 0
     end_ns = -(2**63)
-    for message in read_messages(path):
+    for message in file.messages():
         collector = collectors.get(message.channel.topic)
         if collector is not None:
             kept += collector.take(message)
@@ -132,8 +129,8 @@ def read_fields(
     end_ns = max([end_ns, *(collector.last_ns for collector in collectors.values())])
     samples: dict[str, FieldSamples] = {}
     for collector in collectors.values():
-        samples |= {found.field: found for found in collector.samples(end_ns, is_lenient)}
-    return [samples[name] for name in fields if name in samples]
+        samples |= {found.field: found for found in collector.samples(end_ns)}
+    return [samples[name] for name in fields]
 
 
 def _known_topic(path: Path, name: str, topics: Mapping[str, Any]) -> tuple[str, str]:
@@ -317,7 +314,7 @@ class _Collector:
             raise LogError(f"{self._path}: topic {self._topic!r} has no messages")
         return max(self._stamps)
 
-    def samples(self, end_ns: int, is_lenient: bool) -> list[FieldSamples]:
+    def samples(self, end_ns: int) -> list[FieldSamples]:
         """Return what was kept, by ascending time.
 
         Raises
@@ -333,8 +330,6 @@ class _Collector:
         samples = []
         for column in self._columns:
             if not column.size:
-                if is_lenient:
-                    continue
                 raise LogError(self._nothing_text(column))
             values = column.values(len(stamps))[kept]
             found = FieldSamples(
@@ -417,9 +412,10 @@ def survey(path: Path) -> list[TopicSurvey]:
     LogError
         If it cannot be read, is not MCAP, truncated or damaged, or has a time beyond 63 bits.
     """
-    stamps: dict[ForeignChannel, array[int]] = {c: array("q") for c in read_channels(path)}
+    file = ForeignFile(path)
+    stamps: dict[ForeignChannel, array[int]] = {one: array("q") for one in file.channels}
     first: dict[ForeignChannel, bytes] = {}
-    for message in read_messages(path):
+    for message in file.messages():
         channel = message.channel
         if channel not in first:
             first[channel] = bytes(message.data)

@@ -160,17 +160,6 @@ class _Declared:
             raise ValueError(f"channel {record.id} is defined twice")
 
 
-def read_channels(path: Path) -> list[ForeignChannel]:
-    """Return the channels of a file: those of its summary, or else of a pass over it.
-
-    Raises
-    ------
-    LogError
-        If it cannot be read, is not MCAP, truncated or damaged.
-    """
-    return list(_Declared(Container(path)).channels.values())
-
-
 def is_foreign(path: Path) -> bool:
     """Return whether a file is an MCAP that another tool has written, as far as can be seen.
 
@@ -187,28 +176,44 @@ def is_foreign(path: Path) -> bool:
         return False  # whoever reads it says what is wrong
 
 
-def read_messages(path: Path) -> Iterator[ForeignMessage]:
-    """Yield the messages of a file in their order.
+class ForeignFile:
+    """An MCAP file of another tool: its channels, and its messages in one pass.
 
     Raises
     ------
     LogError
-        If the file cannot be read, is not MCAP, truncated or damaged.
+        If it cannot be read, is not MCAP, truncated or damaged.
     """
-    file = Container(path)
-    declared = _Declared(file)
-    channels = declared.channels
-    kinds = {Opcode.SCHEMA: records.Schema, Opcode.CHANNEL: records.Channel}
-    try:
-        for block in file.blocks():
-            for opcode, begin, stop in records_in(block):
-                if opcode == Opcode.MESSAGE:
-                    number, _, logged, published = _MESSAGE.unpack_from(block, begin)
-                    if number not in channels:
-                        raise ValueError(f"a message of the undeclared channel {number}")
-                    data = block[begin + _MESSAGE.size : stop]
-                    yield ForeignMessage(channels[number], logged, published, data)
-                elif opcode in kinds:
-                    declared.add(parsed(kinds[Opcode(opcode)], block[begin:stop]))
-    except MALFORMED as error:
-        raise LogError(f"{path} is damaged: {error}") from error
+
+    def __init__(self, path: Path) -> None:
+        self._file = Container(path)
+        self._declared = _Declared(self._file)
+
+    @property
+    def channels(self) -> list[ForeignChannel]:
+        """Those of its summary, or else of a pass over it."""
+        return list(self._declared.channels.values())
+
+    def messages(self) -> Iterator[ForeignMessage]:
+        """Yield the messages in the order of the file.
+
+        Raises
+        ------
+        LogError
+            If the file is truncated or damaged.
+        """
+        channels = self._declared.channels
+        kinds = {Opcode.SCHEMA: records.Schema, Opcode.CHANNEL: records.Channel}
+        try:
+            for block in self._file.blocks():
+                for opcode, begin, stop in records_in(block):
+                    if opcode == Opcode.MESSAGE:
+                        number, _, logged, published = _MESSAGE.unpack_from(block, begin)
+                        if number not in channels:
+                            raise ValueError(f"a message of the undeclared channel {number}")
+                        data = block[begin + _MESSAGE.size : stop]
+                        yield ForeignMessage(channels[number], logged, published, data)
+                    elif opcode in kinds:
+                        self._declared.add(parsed(kinds[Opcode(opcode)], block[begin:stop]))
+        except MALFORMED as error:
+            raise LogError(f"{self._file.path} is damaged: {error}") from error

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from io import BytesIO
@@ -23,8 +22,7 @@ from cosim.errors import LogError, UsageError, listing, warn
 from cosim.files import expanded, file_type
 from cosim.instants import NANOSECONDS
 from cosim.log.conversion import SIGNALS_KEY, TIME_KEY
-from cosim.log.foreign.fields import split_field
-from cosim.log.foreign.samples import read_fields, survey
+from cosim.log.foreign.recording import read_recording
 from cosim.log.foreign.topics import is_foreign
 from cosim.log.reader import open_log
 from cosim.scenario.data_files.field_file import field_data
@@ -32,10 +30,9 @@ from cosim.scenario.data_files.mat_file import OtherVariable, read_variables
 from cosim.scenario.data_files.table import LARGEST, content_of
 
 TABLE: Final = "table"  # the component of columns that name none
-VALUE: Final = "value"  # of messages that have no fields
 
 _ARRAYS: Final = (".mat", ".npz")  # that 'cosim convert' writes
-_WHOLE: Final = re.compile(r"\[0:\d+\]$")  # of a field that is a vector, all of its elements
+_MOST_WARNINGS: Final = 10  # about what is left out
 _BETWEEN_ROWS: Final = {
     "variability": ("continuous", "discrete"),
     "type": ("real", "integer", "boolean"),
@@ -241,41 +238,40 @@ def _known(about: Mapping[str, str]) -> dict[str, Any]:
 
 def _messages(path: Path) -> FileRun:
     """Read the numeric fields of all topics that have any."""
-    topics: dict[str, dict[str, str]] = defaultdict(dict)
-    for part in survey(path):
-        topics[part.channel.topic] |= part.fields
-    names = [name for fields in topics.values() for name in fields]
-    unknown = [name for name in names if "[]" in name]
-    if unknown:
-        warn([f"{path}: arrays of any length are left out: {listing(unknown)}"])
-    names = [name for name in names if name not in unknown]
-    if not names:
-        raise LogError(f"{path}: expected messages with numeric fields, got none")
-    found = {one.field: one for one in read_fields(path, names, is_lenient=True)}
+    found = read_recording(path)
+    problems = _left_out_texts(found.left_out)
+    if not found.topics:
+        raise LogError(
+            "; ".join([f"{path}: expected messages with numeric fields, got none", *problems])
+        )
+    warn(f"{path}: {problem}" for problem in problems)
     components: dict[str, _ComponentSamples] = {}
-    for topic, fields in topics.items():
-        own = [found[field] for field in fields if field in found]
-        if not own:
-            continue
+    for topic in found.topics:
         signals = []
-        for each in own:
-            about = _known({"variability": "discrete"} if each.is_discrete else {})
-            name = _name(each.field, topic)
-            signals.append(
-                (Signal(name, each.values.shape[1], optional=True, **about), each.values)
+        for name, values, is_discrete in topic.fields:
+            signal = Signal(
+                name,
+                values.shape[1],
+                optional=True,
+                variability="discrete" if is_discrete else "continuous",
             )
-        components[topic] = own[0].time_ns, signals
+            signals.append((signal, values))
+        components[topic.topic] = topic.time_ns, signals
     names = [f"{topic}.{one.name}" for topic, (_, own) in components.items() for one, _ in own]
     twice = [name for name, count in Counter(names).items() if count > 1]
     if twice:
         raise LogError(f"{path}: expected one field of each name, got two of {twice[0]!r}")
-    return FileRun(str(path), components)
+    return FileRun(str(path), components, found.left_out)
 
 
-def _name(field: str, topic: str) -> str:
-    """Return the name in a topic of a field; a message may be the number or the array itself."""
-    found = split_field(field, [topic])
-    return _WHOLE.sub("", found[1] if found else field) or VALUE
+def _left_out_texts(left_out: Mapping[str, str]) -> list[str]:
+    """Return a text for each reason to leave something out, at most ten."""
+    names: dict[str, list[str]] = defaultdict(list)
+    for name, reason in left_out.items():
+        names[reason].append(name)
+    texts = [f"left out: {listing(own)}: {reason}" for reason, own in names.items()]
+    more = sum(len(own) for own in list(names.values())[_MOST_WARNINGS:])
+    return texts[:_MOST_WARNINGS] + ([f"left out: {more} more"] if more else [])
 
 
 # --- what 'cosim convert' wrote ---

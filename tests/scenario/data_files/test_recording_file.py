@@ -205,15 +205,48 @@ def test_topics_and_fields_of_every_name_are_signals(tmp_path):
         cosim.open_recording(path)
 
 
-def test_fields_that_no_message_has_and_arrays_of_any_length_are_left_out(tmp_path):
-    """Of those that a schema in protobuf lists; the arrays with a warning."""
+def test_messages_have_arrays_of_any_length_and_several_at_an_instant(tmp_path):
+    """Every message is a row; what no message has is no signal, though a schema lists it."""
     path = tmp_path / "a.mcap"
     with path.open("wb") as stream, Writer(stream) as writer:
-        writer.write_message("/t", state_class()(position=1.5, effort=[1.0, 2.0]), 5, 5)
-    with pytest.warns(cosim.CosimWarning, match=r"any length are left out: /t\.effort\[\], "):
+        for time_ns, effort in [(5, [1.0, 2.0]), (5, [3.0]), (7, [])]:
+            writer.write_message("/t", state_class()(position=1.5, effort=effort), time_ns, time_ns)
+    run = cosim.open_recording(path)
+    names = [port.name for port in run.channels["/t"].signals]
+    assert names == ["position", "effort", "mode", "on", "count"]
+    assert run.time_ns("/t").tolist() == [5, 5, 7]
+    assert run["/t.position"].tolist() == [1.5, 1.5, 1.5]
+    np.testing.assert_array_equal(run["/t.effort"], [[1.0, 2.0], [3.0, np.nan]])
+    assert run["/t.effort[1]"].tolist() == [2.0]
+    assert cosim.diff(run, run).equal
+
+
+def test_what_is_left_out_of_messages_is_said(tmp_path):
+    """By the run and by warnings, ten at most; without any signal an error has the reasons."""
+    mixed = [
+        (0, {f"a{index}": 1 for index in range(12)}),
+        (1, {f"a{index}": "x" for index in range(12)}),
+    ]
+    path = write_json(tmp_path / "a.mcap", {"/t": [*mixed, (2, {"y": 5, "big": 2**60 + 1})]})
+    with pytest.warns(cosim.CosimWarning) as warned:
         run = cosim.open_recording(path)
-    assert [port.name for port in run.channels["/t"].signals] == ["position", "mode", "on", "count"]
-    assert run["/t.position"].tolist() == [1.5]
+    assert list(run.left_out) == [*(f"/t.a{index}" for index in range(12)), "/t.big"]
+    assert "message 2" in run.left_out["/t.a0"]
+    texts = [str(each.message) for each in warned]
+    assert len(texts) == 2  # one for each reason
+    assert "a.mcap: left out: /t.a0, /t.a1" in texts[0]
+    assert "/t.big: message 3" in texts[1]
+    assert run["/t.y"].tolist() == [5.0]
+    with pytest.raises(UnknownSignalError):
+        run["/t.a0"]
+    path = write_json(tmp_path / "b.mcap", {"/t": mixed, "/n": [(0, {"big": 2**60 + 1})]})
+    with pytest.raises(LogError, match=r"b\.mcap: .*numeric fields.*/n\.big: message 1.*/t\.a0"):
+        cosim.open_recording(path)
+    many = {f"/t{index}": [(0, {"y": 1, "x": 2**60 + 1 + 512 * index})] for index in range(14)}
+    with pytest.warns(cosim.CosimWarning) as warned:
+        cosim.open_recording(write_json(tmp_path / "c.mcap", many))
+    assert len(warned) == 11
+    assert "4 more" in str(warned[-1].message)
 
 
 def test_what_is_no_recording_is_refused(tmp_path):
