@@ -102,6 +102,28 @@ def test_runs_of_other_instants_are_compared_between_them(call, tmp_path):
     assert "--tube brings its own relative tolerance; omit it or --rtol" in err
 
 
+def test_what_cannot_be_compared_is_said(call, tmp_path):
+    """Events beside a table, which has none; of what could not be read nothing is called equal."""
+    with cosim.load("academic").start(out=tmp_path / "e.mcap") as sim:
+        sim.step()
+        sim["plant.u"] = 0.3
+        sim.step()
+    call("convert", "e.mcap", "e.csv")
+    code, out, err = call("diff", "e.mcap", "e.csv")
+    assert (code, err) == (0, "")
+    assert out.splitlines()[-1] == "note: not compared: events: e.csv has no place for them"
+    for name, other in (("x", 1.0), ("y", 2.0)):
+        rows = [(0, {"v": 1.0, "mode": 3}), (10**9, {"v": 1.0, "mode": f"at {other}"})]
+        write_json(tmp_path / f"{name}.mcap", {"/r": rows})
+    code, out, err = call("diff", "x.mcap", "y.mcap")
+    assert code == 1
+    assert "/r.mode\tnot read" in out
+    assert "x.mcap: left out: /r.mode: it is a number in message 1, text in message 2" in err
+    assert call("diff", "x.mcap", "y.mcap", "/r.v")[0] == 0
+    shown = json.loads(call("diff", "x.mcap", "y.mcap", "--json")[1])
+    assert (shown["equal"], shown["within"], len(shown["not_compared"])) == (False, False, 1)
+
+
 @pytest.mark.usefixtures("files")
 @pytest.mark.parametrize("name", ["r.csv", "r.parquet", "r.mat", "r.npz", "r.mcap"])
 def test_recordings_of_any_kind_are_read_like_logs(call, tmp_path, name):

@@ -53,7 +53,8 @@ def open_recording(path: str | Path) -> RecordedRun:
         that is NaN where that is written. A column ``plant.y`` is signal y of component
         plant, and ``plant.x[0]``, ``plant.x[1]``, ... are elements of one; a column without a
         component belongs to ``table``. Of messages a topic is a component, and its numeric fields
-        are signals, at their log times.
+        are signals, at their log times; each message is a row. What cannot be read is in the
+        recording's ``left_out``, with the reason, and a :class:`cosim.CosimWarning`.
 
     Raises
     ------
@@ -244,7 +245,6 @@ def _messages(path: Path) -> FileRun:
         raise LogError(
             "; ".join([f"{path}: expected messages with numeric fields, got none", *problems])
         )
-    warn(f"{path}: {problem}" for problem in problems)
     components: dict[str, _ComponentSamples] = {}
     for topic in found.topics:
         signals = []
@@ -261,7 +261,8 @@ def _messages(path: Path) -> FileRun:
     twice = [name for name, count in Counter(names).items() if count > 1]
     if twice:
         raise LogError(f"{path}: expected one field of each name, got two of {twice[0]!r}")
-    return FileRun(str(path), components, found.left_out)
+    notes = [f"{path}: {problem}" for problem in problems]
+    return FileRun(str(path), components, found.left_out, notes)
 
 
 def _left_out_texts(left_out: Mapping[str, str]) -> list[str]:
