@@ -65,13 +65,19 @@ _TIME: Final = (RosField("sec", "int32", None), RosField("nanosec", "uint32", No
 class RosFormat(MessageFormat):
     """Messages in CDR.
 
+    Parameters
+    ----------
+    schema : ForeignSchema
+    only : collection of str
+        Fields of a message: those behind the last of them are not decoded. None: all are.
+
     Raises
     ------
     FieldProblem
         If the extra is not installed, or the schema cannot be parsed or is refused.
     """
 
-    def __init__(self, schema: ForeignSchema) -> None:
+    def __init__(self, schema: ForeignSchema, only: Collection[str] = ()) -> None:
         try:
             from mcap_ros2._dynamic import generate_dynamic
             from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
@@ -96,6 +102,10 @@ class RosFormat(MessageFormat):
         self._messages = _messages(types, set(_ENUMERATION.findall(text)))
         _size(self._name, self._messages, (), {})
         self._times = {name for name in _TIMES if _is_time(self._messages[name])}
+        fields = self._messages[self._name]
+        places = [place for place, field in enumerate(fields) if field.name in only]
+        if places and len(places) == len(only):
+            self._messages = {**self._messages, self._name: fields[: max(places) + 1]}
         try:
             self._decoder = generate_dynamic(self._name, self._text())[self._name]
         except Exception as error:  # of its own classes: names that ROS does not allow

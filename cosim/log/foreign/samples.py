@@ -261,8 +261,15 @@ class _Collector:
         found = self._formats.get(channel)
         if found is None:
             with self._naming(self._columns[-1].field):
-                found = self._formats[channel] = format_of(channel)
+                only = {str(path.steps[0]) for path in self._paths if path.steps}
+                found = self._formats[channel] = format_of(channel, only)
         return found
+
+    @property
+    def _paths(self) -> list[FieldPath]:
+        """All that is read of a message."""
+        paths = [column.path for column in self._columns]
+        return paths if self._time_path is None else [*paths, self._time_path]
 
     def take(self, message: ForeignMessage) -> int:
         """Keep the fields of a message; return how many numbers were kept.
@@ -362,8 +369,8 @@ def listed_fields(channel: ForeignChannel, sample: bytes) -> dict[str, str]:
     return dict(islice(format_of(channel).fields(sample), MOST_LISTED))
 
 
-def format_of(channel: ForeignChannel) -> MessageFormat:
-    """Return how the messages of a channel are decoded.
+def format_of(channel: ForeignChannel, only: Collection[str] = ()) -> MessageFormat:
+    """Return how the messages of a channel are decoded, or some of their fields.
 
     Raises
     ------
@@ -379,7 +386,7 @@ def format_of(channel: ForeignChannel) -> MessageFormat:
         case "cdr", "ros2msg" | "ros2idl":
             from cosim.log.foreign.ros import RosFormat  # which needs an extra
 
-            return RosFormat(schema)
+            return RosFormat(schema, only)
     found = f"a schema in {schema.encoding!r}" if channel.schema is not None else "no schema"
     raise FieldProblem(f"expected messages in {_READABLE}, got {channel.encoding!r} with {found}")
 
