@@ -301,9 +301,11 @@ def convert(given: Given) -> None:
     one array of times per component.
     """
     from cosim.log.conversion import convert as convert_log
+    from cosim.log.files import check_not_read
     from cosim.log.text import choose
     from cosim.report.tables.logs import opened_recording
 
+    check_not_read(given.out, [given.log])
     chosen = choose(opened_recording(given.log), given.signals, given.from_, given.to)
     for note in convert_log(chosen, given.out, force=given.force):
         print_notice(note)

@@ -25,7 +25,7 @@ from cosim.errors import LogError
 from cosim.instants import NANOSECONDS, Grid
 from cosim.log.chunks import CHUNK_HEAD, MOST_BYTES, decompressed, read_chunk_header
 from cosim.log.container import Container
-from cosim.log.files import UnfinishedLog, log_path
+from cosim.log.files import UnfinishedLog, check_not_read, log_path
 from cosim.log.mcap_records import HEADER, RECORD_HEADER
 from cosim.log.metadata import PREFIX, verify_checksum
 from cosim.log.pieces import LogPieces, gathered, write_log
@@ -177,8 +177,8 @@ def recover(path: Path, out: Path, *, force: bool = False) -> RecoveredLog:
         ``out`` cannot be written, or is that file.
     """
     path = log_path(path)
+    check_not_read(out, [path])
     target = UnfinishedLog(out, force=force)
-    target.check_not_read([path])
     file = Container(path, find=searched)
     declared = LogPieces.of(file)
     pieces = _complete_components(declared)

@@ -1,6 +1,7 @@
 """The commands on logs: what they contain, how they differ, and what is made of them."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -269,6 +270,21 @@ def test_all_that_is_recorded_is_what_commands_take_by_default(call):
     for command in ("convert part.mcap a.csv", "plot part.mcap --out a.svg"):
         out = command.split()[-1]
         assert call(*command.split()) == (0, f"{out}\n", "")
+
+
+@pytest.mark.usefixtures("files")
+@pytest.mark.parametrize("link", [os.link, os.symlink])
+@pytest.mark.parametrize("command", ["convert a.csv {}", "cut a.csv --from 0 -o {}"])
+def test_a_command_does_not_write_over_its_input(call, tmp_path, link, command):
+    """Also under another name of the file; the content stays."""
+    call("convert", "a.mcap", "a.csv")
+    content = (tmp_path / "a.csv").read_bytes()
+    link(tmp_path / "a.csv", tmp_path / "b.csv")
+    for out in ("a.csv", "b.csv"):
+        code, printed, err = call(*command.format(out).split(), "--force")
+        assert (code, printed) == (2, "")
+        assert f"a.csv is an input of {out} and cannot be replaced by it" in err
+        assert (tmp_path / out).read_bytes() == content
 
 
 FOLLOW = [sys.executable, "-m", "cosim", "cat", "a.mcap", "--follow"]
