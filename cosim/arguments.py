@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from cosim.errors import UsageError, command, flag, named_keys, option, quoted
-from cosim.files import check_writable, expanded, file_type
+from cosim.files import check_writable, expanded, file_type, read_type
 
 NO_PATH = (errno.ENAMETOOLONG, errno.EILSEQ, errno.EINVAL)
 
@@ -45,10 +45,13 @@ def log_argument(value: object) -> Path:
         If it is none, but that of something else; names the command for that.
     """
     path = path_argument("log", value)
+    kind = read_type(path)
+    if kind == "log":
+        return path
     expected = f"{quoted(str(path))}: expected a log (.mcap)"
     if is_scenario(path):
         raise UsageError(f"{expected}; {command('run')} runs a scenario")
-    if file_type(path) == "FMU":
+    if kind == "FMU":
         raise UsageError(f"{expected}; 'cosim info' shows an FMU")
     return path
 

@@ -19,7 +19,7 @@ from cosim.core.recorded.signals import RunMessage
 from cosim.core.recording import TimedRows
 from cosim.core.signals import Channel, Interface, Signal
 from cosim.errors import LogError, UsageError, listing, warn
-from cosim.files import expanded, file_type
+from cosim.files import expanded, read_type
 from cosim.instants import NANOSECONDS
 from cosim.log.conversion import SIGNALS_KEY, TIME_KEY
 from cosim.log.foreign.recording import read_recording
@@ -68,9 +68,11 @@ def open_recording(path: str | Path) -> RecordedRun:
     [1.5, 2.0]
     """
     path = expanded(path)
-    run = _arrays(path) if path.suffix.lower() in _ARRAYS else None
+    kind = read_type(path)
+    has_arrays = kind != "log" and path.suffix.lower() in _ARRAYS
+    run = _arrays(path) if has_arrays else None
     if run is None:
-        match file_type(path):
+        match kind:
             case "table":
                 run = _table(path)
             case "log" if is_foreign(path):
@@ -82,8 +84,8 @@ def open_recording(path: str | Path) -> RecordedRun:
 
 
 def is_recording(path: str | Path) -> bool:
-    """Return whether a file is one that :func:`open_recording` opens, by the ending of its name."""
-    return file_type(path) in ("log", "table") or Path(path).suffix.lower() in _ARRAYS
+    """Return whether a file is one that :func:`open_recording` opens, as far as can be seen."""
+    return read_type(path) in ("log", "table") or Path(path).suffix.lower() in _ARRAYS
 
 
 _ComponentSamples: TypeAlias = tuple[Nanoseconds, Sequence[tuple[Signal, Matrix]]]
