@@ -12,6 +12,7 @@ from typing import Any, Final, TypeAlias, final
 
 import numpy as np
 
+from cosim.arguments import path_argument
 from cosim.arrays import Mask, Matrix, Nanoseconds, Vector, as_columns, is_absent, read_only
 from cosim.core.port import Port
 from cosim.core.recorded.run import RecordedRun
@@ -19,7 +20,7 @@ from cosim.core.recorded.signals import RunMessage
 from cosim.core.recording import TimedRows
 from cosim.core.signals import Channel, Interface, Signal
 from cosim.errors import LogError, UsageError, listing, warn
-from cosim.files import expanded, read_type
+from cosim.files import read_type
 from cosim.instants import NANOSECONDS
 from cosim.log.conversion import SIGNALS_KEY, TIME_KEY
 from cosim.log.foreign.recording import read_recording
@@ -67,7 +68,7 @@ def open_recording(path: str | Path) -> RecordedRun:
     >>> open_recording("level.csv")["table.level"].tolist()
     [1.5, 2.0]
     """
-    path = expanded(path)
+    path = path_argument("path", path)
     kind = read_type(path)
     has_arrays = kind != "log" and path.suffix.lower() in _ARRAYS
     run = _arrays(path) if has_arrays else None

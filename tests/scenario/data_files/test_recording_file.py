@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 
 import numpy as np
@@ -260,3 +261,6 @@ def test_what_is_no_recording_is_refused(tmp_path):
         cosim.open_recording(tmp_path / "b.mcap")
     with pytest.raises(LogError, match=r"c\.mcap.*No such file"):
         cosim.open_recording(tmp_path / "c.mcap")
+    for value in (None, 3, b"a.csv", ["a.csv"]):
+        with pytest.raises(UsageError, match=rf"^path: expected a path.* {re.escape(repr(value))}"):
+            cosim.open_recording(value)
