@@ -9,13 +9,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from cosim.errors import UsageError, command, flag, named_keys, option, quoted
 from cosim.files import check_writable, expanded, file_type, read_type
 
+READ_BY: Final = "'cosim cat' without --follow, diff, metrics, plot and convert read it"
 NO_PATH = (errno.ENAMETOOLONG, errno.EILSEQ, errno.EINVAL)
 
 
@@ -53,6 +54,8 @@ def log_argument(value: object) -> Path:
         raise UsageError(f"{expected}; {command('run')} runs a scenario")
     if kind == "FMU":
         raise UsageError(f"{expected}; 'cosim info' shows an FMU")
+    if kind == "table" and path.is_file():
+        raise UsageError(f"{expected} of cosim, got a table; {READ_BY}")
     return path
 
 

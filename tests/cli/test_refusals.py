@@ -124,6 +124,22 @@ FILES = {
     "linearize plant.fmu --set u": "--set 'u': .*no '='",
     "linearize plant.fmu --input w": "no input 'w'.*: u, delta",
 }
+READ_BY = "'cosim cat' without --follow, diff, metrics, plot and convert read it"
+LINES_OF_OWN_LOGS = (
+    "hash {}",
+    "cat {} --follow",
+    "cut {} --from 0 -o c.mcap",
+    "merge {} a.mcap -o c.mcap",
+    "play {} --port 0",
+)
+OTHERS = {
+    "replay old.csv": f"old.csv': expected a log .* got a table; {READ_BY}",
+    **{
+        line.format(name): f"{name}'?: expected a log .*of cosim, got {found} .*{READ_BY}"
+        for line in LINES_OF_OWN_LOGS
+        for name, found in {"old.csv": "a table;", "field.mcap": "an MCAP file of another"}.items()
+    },
+}
 # The reason is the same for every command that needs a signal which was not recorded.
 NO_LOG = {
     "replay text.mcap": "text.mcap is not an MCAP file",
@@ -173,7 +189,7 @@ STUDIES = {
     f"tune lag.toml {GOAL} {VARY} --scheduler tcp://127.0.0.1:1": "--scheduler: .*'cobyqa'",
     f"tune lag.toml {GOAL} {VARY} --standard-errors": "--standard-errors: .* rms ",
 }
-WRONG = OPTIONS | FILES | NO_LOG | UNRECORDED | STUDIES
+WRONG = OPTIONS | FILES | OTHERS | NO_LOG | UNRECORDED | STUDIES
 WITH_VIEWERS = [line for line in WRONG if line.startswith("play")]  # need the SDK of viewers
 
 
