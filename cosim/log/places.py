@@ -40,6 +40,7 @@ from cosim.log.mcap_records import (
 MALFORMED: Final = (McapError, ValueError, KeyError, TypeError, OverflowError, struct.error)
 MOST_ATTACHED: Final = 2**28  # bytes of an attachment
 OWN_LIBRARY: Final = "cosim/"  # what the name of ours begins with
+RESCUE: Final = "recover the intact part with 'cosim recover', which reports what is lost"
 
 _MOST_SUMMARY: Final = 2**30  # bytes
 _MOST_NAME: Final = 2**10
@@ -448,10 +449,7 @@ def _incomplete(
         # A chunk holds rows of some components, so that others may end long before it.
         stream.seek(places.chunks[-1].start + HEADER + 8)  # after the time of its first message
         end_ns = int.from_bytes(stream.read(8), "little")
-        rescue = (
-            f"its last complete chunk ends at t = {end_ns / 1e9} s: run it again, or recover the "
-            "intact part with 'cosim recover', which reports what is lost"
-        )
+        rescue = f"its last complete chunk ends at t = {end_ns / 1e9} s: run it again, or {RESCUE}"
     return LogError(
         f"{path} is truncated at byte {size}: its end is missing, as after an interrupted "
         f"copy; {rescue}"
