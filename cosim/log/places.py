@@ -443,7 +443,7 @@ def _incomplete(
     if stream.read() == MAGIC:
         return damage_error(path, position, "no complete record begins there")
     rescue = "it has no complete row: run it again"
-    if not is_ours(stream):
+    if position > len(MAGIC) and not is_ours(stream):  # else who wrote it is cut off, too
         rescue = "recover the intact part with 'mcap recover'"
     elif places.chunks:
         # A chunk holds rows of some components, so that others may end long before it.
