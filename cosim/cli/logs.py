@@ -199,7 +199,7 @@ def play(given: Given) -> None:
         "signals [SIGNAL]... : list[str] = None": "Signals to compare, elements or patterns: "
         "plant.y plant.x_a[0:2] '*.delta'. All by default.",
         "--atol : float = 0.0": "Absolute tolerance.",
-        "--rtol : float": "Tolerance relative to the largest value of each signal.",
+        "--rtol : float": "Tolerance relative to the largest value of each signal. [default: 0.0]",
         "--tol SIGNAL=VALUE : numbers": "Absolute tolerance of the signals that match a pattern, "
         "instead of --atol and --rtol: '*.delta=1e-3'. If several patterns match, the last one "
         "counts. Repeatable.",

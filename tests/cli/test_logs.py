@@ -244,6 +244,11 @@ def test_diff_says_where_it_compares(call):
     assert note.format("u.y at 101", 101, 201) in out.splitlines()
 
 
+def test_the_help_of_diff_says_that_nothing_is_tolerated(call):
+    """By default, neither absolutely nor relatively."""
+    assert call("diff", "--help")[1].count("[default: 0.0]") == 2
+
+
 # --- for other tools ---
 
 
