@@ -264,7 +264,7 @@ def cat(given: Given) -> None:
     Components with several rates share one table: a row for every sampling instant, with empty
     cells (JSON Lines: omitted keys) for components without a sample there.
     """
-    from cosim.log.text import TextSource, table_text
+    from cosim.log.text import LogChoice, TextSource, choose, rows_text, table_text
 
     table: TextSource
     chosen = (given.signals, given.from_, given.to)
@@ -273,18 +273,24 @@ def cat(given: Given) -> None:
 
         table = FollowedLog(given.log, *chosen)
     else:
-        from cosim.log.text import choose
         from cosim.report.tables.logs import opened_recording
 
-        table = choose(opened_recording(given.log), *chosen)
+        recording = opened_recording(given.log)
+        table = choose(recording, *chosen)
     lines = table_text(table, given.format)
     is_terminal = sys.stdout.isatty()
+    printed = 0
     with ended_by_interrupt(quietly=given.follow):
         for text in lines:
             shown = printable(text) if is_terminal else text
             sys.stdout.buffer.write(shown.encode())
             if given.follow:
                 sys.stdout.buffer.flush()
+            printed += 1
+    has_rows = printed > (given.format == "csv")  # more than the header
+    if isinstance(table, LogChoice) and table.run is not recording and not has_rows:
+        known = f"{given.log} has {rows_text(recording)}"
+        print_notice(f"{table.run.label}: no rows in this span; {known}")
 
 
 @command(

@@ -16,6 +16,7 @@ import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import islice
 from typing import Final, Protocol, TypeAlias
 
 import numpy as np
@@ -100,6 +101,18 @@ def choose(
     span = span_ns(start, stop, names=("--from", "--to"))
     part = run if span == (None, None) else RecordedWindow(run, *span)
     return LogChoice.of(part, None if names is None else split_names(",".join(names)))
+
+
+def rows_text(run: RecordedRun) -> str:
+    """Return from when to when a run has rows."""
+    firsts = []
+    for name in run.channels:
+        blocks = (time_ns for time_ns, _ in run.blocks(name) if len(time_ns))
+        firsts += [int(time_ns[0]) for time_ns in islice(blocks, 1)]
+    if not firsts:
+        return "no rows at all"
+    first, last = exact_seconds(np.array([min(firsts), run.end_ns]))
+    return f"rows from {first} s to {last} s"
 
 
 _MOST_ROWS: Final = 4096  # that are text at a time

@@ -266,6 +266,20 @@ def test_cat_prints_the_rows_that_are_chosen(call, tmp_path):
 
 
 @pytest.mark.usefixtures("files")
+def test_a_span_without_rows_is_said_with_that_of_the_log(call):
+    """The header is printed all the same; of a log whose span is not chosen nothing is said."""
+    header = call("cat", "a.mcap")[1].splitlines()[0]
+    said = "a.mcap from 5 s: no rows in this span; a.mcap has rows from 0.0 s to 0.1 s\n"
+    assert call("cat", "a.mcap", "--from", "5") == (0, f"{header}\n", said)
+    assert call("cat", "a.mcap", "--from", "5", "--format", "jsonl") == (0, "", said)
+    call("cut", "a.mcap", "--from", "0.02", "--to", "0.05", "--out", "c.mcap")
+    err = call("cat", "c.mcap", "--to", "0.0105", "--signals", "plant.y")[2]
+    assert "c.mcap has rows from 0.02 s to 0.05 s" in err
+    for span in (["--from", "0.1"], ["--to", "0"], []):
+        assert call("cat", "a.mcap", *span)[2] == ""
+
+
+@pytest.mark.usefixtures("files")
 def test_all_that_is_recorded_is_what_commands_take_by_default(call):
     """Of a partial log."""
     header, *rows = call("cat", "part.mcap")[1].splitlines()
