@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from itertools import compress
+from pathlib import Path
 from typing import Final
 
 import cosim
@@ -321,6 +322,17 @@ def convert(given: Given) -> None:
 # --- logs from logs ---
 
 
+def _check_is_log(out: Path) -> None:
+    """Refuse the path of a file that ``cosim convert`` writes."""
+    from cosim.log.conversion import ENDINGS
+
+    if out.suffix.lower() in ENDINGS:
+        raise UsageError(
+            f"--out {out}: expected a path of a log (.mcap), got {out.suffix!r}; 'cosim convert' "
+            f"writes {', '.join(ENDINGS)}"
+        )
+
+
 @command(shared("log new-log span force"))
 def cut(given: Given) -> None:
     """Copy a time span of a log to a new log.
@@ -330,6 +342,7 @@ def cut(given: Given) -> None:
     from cosim.log.spans import cut as cut_log
     from cosim.report.tables.logs import ended
 
+    _check_is_log(given.out)
     span = (given.from_, given.to)
     if span == (None, None):
         raise UsageError("expected --from, --to or both")
@@ -351,6 +364,7 @@ def merge(given: Given) -> None:
     from cosim.log.spans import merge as merge_logs
     from cosim.report.tables.logs import ended
 
+    _check_is_log(given.out)
     print_text(ended(merge_logs(given.logs, given.out, force=given.force)))
 
 
@@ -363,5 +377,6 @@ def recover(given: Given) -> None:
     from cosim.log.recovering import recover as recover_log
     from cosim.report.tables.logs import show_recovery
 
+    _check_is_log(given.out)
     recovery = recover_log(given.log, given.out, force=given.force)
     given.print_shown(show_recovery(recovery))
