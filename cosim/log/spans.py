@@ -18,7 +18,7 @@ import numpy as np
 from cosim.arrays import Mask, Nanoseconds
 from cosim.core.recorded.run import RecordedWindow, span_ns
 from cosim.errors import LogError, UsageError
-from cosim.instants import NANOSECONDS
+from cosim.instants import NANOSECONDS, Seconds
 from cosim.log.container import Container
 from cosim.log.files import OwnFile, UnfinishedLog, check_not_read, part_paths
 from cosim.log.layout import Part
@@ -31,8 +31,8 @@ from cosim.temporary import TemporaryFolder
 
 def cut(
     path: Path,
-    start: float | None,
-    stop: float | None,
+    start: Seconds | None,
+    stop: Seconds | None,
     out: Path,
     *,
     names: tuple[str, str] = ("start", "stop"),
@@ -46,7 +46,7 @@ def cut(
     Parameters
     ----------
     path : Path
-    start, stop : float or None
+    start, stop : float, Decimal or None
         [s]. None: from the first row on, up to the last one.
     out : Path
     names : tuple of str

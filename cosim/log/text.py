@@ -33,7 +33,7 @@ from cosim.core.recorded.selection import (
 from cosim.core.recorded.signals import RecordedPort
 from cosim.core.signals import Signal
 from cosim.errors import UsageError, nearest
-from cosim.instants import NANOSECONDS
+from cosim.instants import NANOSECONDS, Seconds
 from cosim.units import with_unit
 
 
@@ -79,7 +79,7 @@ def signal_metadata(signal: Signal, unit: str | None) -> dict[str, str]:
 
 
 def choose(
-    run: RecordedRun, names: Iterable[str] | None, start: float | None, stop: float | None
+    run: RecordedRun, names: Iterable[str] | None, start: Seconds | None, stop: Seconds | None
 ) -> LogChoice:
     """Choose of a run what options of the command line say.
 
@@ -88,7 +88,7 @@ def choose(
     run : RecordedRun
     names : iterable of str, or None
         Names and patterns, several with commas between; None: all.
-    start, stop : float or None
+    start, stop : float, Decimal or None
         First and last time [s].
 
     Raises

@@ -280,6 +280,17 @@ def test_a_span_without_rows_is_said_with_that_of_the_log(call):
         assert call("cat", "a.mcap", *span)[2] == ""
 
 
+def test_a_span_has_all_digits_of_its_times(call, tmp_path):
+    """Of nanoseconds since 1970, which doubles do not tell apart."""
+    times = [1764570000123456788 + k for k in range(4)]
+    write_json(tmp_path / "r.mcap", {"/r": [(t, {"y": float(k)}) for k, t in enumerate(times)]})
+    span = ("--from", "1764570000.123456789", "--to", "1764570000.123456790")
+    rows = ["1764570000.123456789,1.0", "1764570000.12345679,2.0"]
+    assert call("cat", "r.mcap", *span)[1].splitlines()[1:] == rows
+    assert call("convert", "r.mcap", "r.csv", *span)[0] == 0
+    assert (tmp_path / "r.csv").read_text().splitlines()[1:] == rows
+
+
 @pytest.mark.usefixtures("files")
 def test_all_that_is_recorded_is_what_commands_take_by_default(call):
     """Of a partial log."""

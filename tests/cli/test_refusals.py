@@ -69,6 +69,8 @@ FILES = {
     "cat a.mcap --format xml": "--format: .*'xml'; available: csv, jsonl",
     "cat a.mcap --signals plant.v": "'plant' has no signal 'v'",
     "cat a.mcap --from nan": "--from: .*nan",
+    "cat a.mcap --to early": "--to: .*'early'",
+    "cat a.mcap --to snan": "--to: .*'snan'",
     "cat none.mcap": r"none\.mcap cannot be read",
     "cat none.mcap --follow": r"none\.mcap cannot be read",
     "convert a.mcap a.txt": r"'\.txt'",
