@@ -9,13 +9,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from cosim.errors import UsageError, command, flag, named_keys, option, quoted
-from cosim.files import check_writable, expanded, file_type
+from cosim.files import check_writable, expanded, file_type, read_type
 
+READ_BY: Final = "'cosim cat' without --follow, diff, metrics, plot and convert read it"
 NO_PATH = (errno.ENAMETOOLONG, errno.EILSEQ, errno.EINVAL)
 
 
@@ -45,11 +46,16 @@ def log_argument(value: object) -> Path:
         If it is none, but that of something else; names the command for that.
     """
     path = path_argument("log", value)
+    kind = read_type(path)
+    if kind == "log":
+        return path
     expected = f"{quoted(str(path))}: expected a log (.mcap)"
     if is_scenario(path):
         raise UsageError(f"{expected}; {command('run')} runs a scenario")
-    if file_type(path) == "FMU":
+    if kind == "FMU":
         raise UsageError(f"{expected}; 'cosim info' shows an FMU")
+    if kind == "table" and path.is_file():
+        raise UsageError(f"{expected} of cosim, got a table; {READ_BY}")
     return path
 
 

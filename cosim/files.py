@@ -11,6 +11,7 @@ import errno
 import os
 import stat
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 from typing import Final, Literal, TypeAlias
 
@@ -29,6 +30,7 @@ _ENDINGS: Final[dict[str, FileType]] = {
     ".xlsm": "table",
     ".mat": "table",
 }
+MCAP_MAGIC: Final = b"\x89MCAP0\r\n"  # at both ends of an MCAP file
 # Opening a pipe waits for its other end; on Windows there are none among the files.
 _NO_WAITING: Final = getattr(os, "O_NONBLOCK", 0)
 _TYPES: Final = (
@@ -51,6 +53,17 @@ def expanded(path: str | os.PathLike[str]) -> Path:
 def file_type(path: str | Path) -> FileType | None:
     """Return what a file is by the ending of its name, in any case; None: something else."""
     return _ENDINGS.get(Path(path).suffix.lower())
+
+
+def read_type(path: str | Path) -> FileType | None:
+    """Return what a file that is read is: a log if it begins as one, else by its ending.
+
+    A log is every MCAP file, also of another tool. What cannot be opened is what its ending says.
+    """
+    with suppress(OSError, ValueError), open(path, "rb", opener=regular) as file:
+        if file.read(len(MCAP_MAGIC)) == MCAP_MAGIC:
+            return "log"
+    return file_type(path)
 
 
 def regular(path: str, flags: int) -> int:

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from decimal import MAX_EMAX, MAX_PREC, MIN_EMIN, Context, Decimal
 from fractions import Fraction
-from typing import TypeAlias, TypeVar
+from typing import Final, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+Seconds: TypeAlias = float | Decimal  # a Decimal is taken with all its digits
 StepNs: TypeAlias = int | Fraction  # of a whole number of nanoseconds an int
 PointNumbers = TypeVar("PointNumbers", int, NDArray[np.int64])
 
@@ -22,15 +24,20 @@ EXACT = 2**53  # integers up to it are doubles
 LARGEST_DENOMINATOR = 1_000_000  # of a fraction that a double may have meant
 
 
-def last_nanosecond(t: float) -> int:
+_EXACT: Final = Context(prec=MAX_PREC, Emin=MIN_EMIN, Emax=MAX_EMAX)
+
+
+def last_nanosecond(t: Seconds) -> int:
     """Return the number of the last whole nanosecond at or before a time [s]."""
+    if isinstance(t, Decimal):
+        return math.floor(t.scaleb(9, _EXACT))
     nearest = round(t * NANOSECONDS)
     return nearest if nearest / NANOSECONDS <= t else nearest - 1
 
 
-def first_nanosecond(t: float) -> int:
+def first_nanosecond(t: Seconds) -> int:
     """Return the number of the first whole nanosecond at or behind a time [s]."""
-    return -last_nanosecond(-t)
+    return -last_nanosecond(t.copy_negate() if isinstance(t, Decimal) else -t)
 
 
 def whole_duration(begin: float, end: float) -> float | None:

@@ -9,9 +9,10 @@ import pytest
 import cosim
 from cosim.cli import main
 from cosim.errors import CosimError, ScenarioError
-from cosim.files import read_bounded, regular
+from cosim.files import file_type, read_bounded, read_type, regular
 from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import Document, find
+from tests.log.foreign_files import write_json
 
 SCENARIO = '[scenario]\nname = "a"\nstop = 1.0\nstep = 0.5\n[components.u]\n'
 
@@ -47,6 +48,24 @@ def test_the_ending_of_a_name_counts_in_any_case(call, tmp_path):
     ]:
         code, _, err = call(*command)
         assert (code, expected in err) == (2, True), err
+
+
+@pytest.mark.parametrize("name", ["x.csv", "x.npz", "x.bag", "x.toml", "x.fmu", "x"])
+def test_a_log_of_any_name_is_read(call, tmp_path, name):
+    """By how it begins, also one of another tool; what is not there is what its ending says."""
+    ending = read_type(tmp_path / name)
+    call("run", "pair", "--stop", "0.01", "--out", "a.mcap")
+    (tmp_path / name).write_bytes((tmp_path / "a.mcap").read_bytes())
+    assert (read_type(tmp_path / name), ending) == ("log", file_type(name))
+    assert cosim.diff(cosim.open_recording(name), cosim.open_log(name)).equal
+    for command in ("hash {}", "info {}"):
+        assert call(*command.format(name).split())[0] == 0
+    for command in ("cat {}", "metrics {} last(t)"):
+        found, known = (call(*command.format(given).split()) for given in (name, "a.mcap"))
+        assert found == known
+        assert found[0] == 0
+    write_json(tmp_path / name, {"/r": [(0, {"y": 1.0}), (10**7, {"y": 2.0})]})
+    assert call("cat", name)[1].splitlines() == ["t [s],/r.y", "0.0,1.0", "0.01,2.0"]
 
 
 def read(path):

@@ -1,6 +1,7 @@
 """Times on the grid of whole nanoseconds and between."""
 
 import math
+from decimal import Decimal
 from fractions import Fraction
 
 import numpy as np
@@ -37,6 +38,16 @@ def test_the_nanoseconds_around_a_time_enclose_it(t):
     first = first_nanosecond(t)
     assert last / NANOSECONDS <= t <= first / NANOSECONDS
     assert first - last == (last / NANOSECONDS != t)
+
+
+@given(st.integers(-(2**63), 2**63 - 1), st.integers(0, 10**30))
+def test_the_nanoseconds_around_a_decimal_are_exact(n, rest):
+    """Whatever its digits are, also behind the 28 that Python computes with."""
+    on_grid = Decimal(f"{n}e-9")
+    assert first_nanosecond(on_grid) == last_nanosecond(on_grid) == n
+    between = Decimal(f"{n * 10**31 + rest}e-40")
+    assert last_nanosecond(between) == n
+    assert first_nanosecond(between) == n + (rest > 0)
 
 
 @given(grid, grid)

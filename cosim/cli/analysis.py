@@ -11,7 +11,7 @@ import cosim
 from cosim.cli.command import Given, command
 from cosim.cli.options import check_plot, prints_to_stderr, shared
 from cosim.errors import LogError, UsageError
-from cosim.files import file_type
+from cosim.files import read_type
 from cosim.options import Rule
 from cosim.report.printable import print_notice, print_text, printable
 from cosim.terminal import show_count
@@ -44,7 +44,7 @@ def info(given: Given) -> None:
         if "problems" in content:
             raise LogError("\n".join(content["problems"]))
         return
-    type_name = file_type(given.source)
+    type_name = read_type(given.source)
     if type_name in ("log", "FMU", "table"):
         raise UsageError(f"--graph {given.source}: expected a scenario, got a {type_name}")
     check_plot(given.out)
@@ -69,7 +69,7 @@ def _describe(source: str) -> dict[str, Any]:
             f"{source}: expected a log (.mcap), an FMU (.fmu), samples (.csv, .xlsx, ...) or a "
             "scenario, got a folder"
         )
-    match file_type(path):
+    match read_type(path):
         case "log" if is_foreign(path):
             return inspection.describe_recording(source)
         case "log":

@@ -22,6 +22,7 @@ import re
 from ast import literal_eval
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from decimal import Decimal, InvalidOperation
 from functools import wraps
 from inspect import Parameter, Signature
 from keyword import iskeyword
@@ -149,6 +150,16 @@ def read_failures(texts: list[str], name: str) -> frozenset[str]:
     return frozenset(found)
 
 
+def read_seconds(text: str, name: str) -> Decimal:
+    """Read a time with all its digits: a double has not those of nanoseconds since 1970."""
+    try:
+        float(text)  # a Decimal may be more than that, such as sNaN
+        return Decimal(text)
+    except (ValueError, InvalidOperation) as error:
+        found = f"expected a number of seconds, got {quoted(text)}"
+        raise UsageError(f"{option(name.rstrip('_'))}: {found}") from error
+
+
 def read_step(text: str, name: str) -> float | str:
     """Read a step as it would be in a file: a fraction is a text there."""
     try:
@@ -235,6 +246,7 @@ KINDS: Final = {
     "numbers": OptionKind(list[str], read_numbers),
     "pairs": OptionKind(list[str], read_unique_pairs),
     "ranges": OptionKind(list[str], read_ranges),
+    "seconds": OptionKind(str, read_seconds),
     "size": OptionKind(str, read_size),
     "step": OptionKind(str, read_step),
     "tube": OptionKind(str, read_tube),

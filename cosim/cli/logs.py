@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from itertools import compress
+from pathlib import Path
 from typing import Final
 
 import cosim
@@ -199,7 +200,7 @@ def play(given: Given) -> None:
         "signals [SIGNAL]... : list[str] = None": "Signals to compare, elements or patterns: "
         "plant.y plant.x_a[0:2] '*.delta'. All by default.",
         "--atol : float = 0.0": "Absolute tolerance.",
-        "--rtol : float": "Tolerance relative to the largest value of each signal.",
+        "--rtol : float": "Tolerance relative to the largest value of each signal. [default: 0.0]",
         "--tol SIGNAL=VALUE : numbers": "Absolute tolerance of the signals that match a pattern, "
         "instead of --atol and --rtol: '*.delta=1e-3'. If several patterns match, the last one "
         "counts. Repeatable.",
@@ -264,7 +265,7 @@ def cat(given: Given) -> None:
     Components with several rates share one table: a row for every sampling instant, with empty
     cells (JSON Lines: omitted keys) for components without a sample there.
     """
-    from cosim.log.text import TextSource, table_text
+    from cosim.log.text import LogChoice, TextSource, choose, rows_text, table_text
 
     table: TextSource
     chosen = (given.signals, given.from_, given.to)
@@ -273,18 +274,24 @@ def cat(given: Given) -> None:
 
         table = FollowedLog(given.log, *chosen)
     else:
-        from cosim.log.text import choose
         from cosim.report.tables.logs import opened_recording
 
-        table = choose(opened_recording(given.log), *chosen)
+        recording = opened_recording(given.log)
+        table = choose(recording, *chosen)
     lines = table_text(table, given.format)
     is_terminal = sys.stdout.isatty()
+    printed = 0
     with ended_by_interrupt(quietly=given.follow):
         for text in lines:
             shown = printable(text) if is_terminal else text
             sys.stdout.buffer.write(shown.encode())
             if given.follow:
                 sys.stdout.buffer.flush()
+            printed += 1
+    has_rows = printed > (given.format == "csv")  # more than the header
+    if isinstance(table, LogChoice) and table.run is not recording and not has_rows:
+        known = f"{given.log} has {rows_text(recording)}"
+        print_notice(f"{table.run.label}: no rows in this span; {known}")
 
 
 @command(
@@ -301,9 +308,11 @@ def convert(given: Given) -> None:
     one array of times per component.
     """
     from cosim.log.conversion import convert as convert_log
+    from cosim.log.files import check_not_read
     from cosim.log.text import choose
     from cosim.report.tables.logs import opened_recording
 
+    check_not_read(given.out, [given.log])
     chosen = choose(opened_recording(given.log), given.signals, given.from_, given.to)
     for note in convert_log(chosen, given.out, force=given.force):
         print_notice(note)
@@ -311,6 +320,17 @@ def convert(given: Given) -> None:
 
 
 # --- logs from logs ---
+
+
+def _check_is_log(out: Path) -> None:
+    """Refuse the path of a file that ``cosim convert`` writes."""
+    from cosim.log.conversion import ENDINGS
+
+    if out.suffix.lower() in ENDINGS:
+        raise UsageError(
+            f"--out {out}: expected a path of a log (.mcap), got {out.suffix!r}; 'cosim convert' "
+            f"writes {', '.join(ENDINGS)}"
+        )
 
 
 @command(shared("log new-log span force"))
@@ -322,6 +342,7 @@ def cut(given: Given) -> None:
     from cosim.log.spans import cut as cut_log
     from cosim.report.tables.logs import ended
 
+    _check_is_log(given.out)
     span = (given.from_, given.to)
     if span == (None, None):
         raise UsageError("expected --from, --to or both")
@@ -343,6 +364,7 @@ def merge(given: Given) -> None:
     from cosim.log.spans import merge as merge_logs
     from cosim.report.tables.logs import ended
 
+    _check_is_log(given.out)
     print_text(ended(merge_logs(given.logs, given.out, force=given.force)))
 
 
@@ -355,5 +377,6 @@ def recover(given: Given) -> None:
     from cosim.log.recovering import recover as recover_log
     from cosim.report.tables.logs import show_recovery
 
+    _check_is_log(given.out)
     recovery = recover_log(given.log, given.out, force=given.force)
     given.print_shown(show_recovery(recovery))

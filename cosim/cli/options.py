@@ -63,7 +63,7 @@ SHARED: Final[Mapping[str, OptionTable]] = {
         "--signals NAMES : list[str]": "Signals, elements or patterns: "
         "'plant.*,observer.x_a[0]'. All by default. Repeatable.",
     },
-    "span": {"--from T : float": "First time [s].", "--to T : float": "Last time [s]."},
+    "span": {"--from T : seconds": "First time [s].", "--to T : seconds": "Last time [s]."},
     "viewers": {
         "--host ADDRESS : str": "Address for viewers; default: 127.0.0.1, this machine only.",
         "--port NUMBER : int": "Port for viewers; default: 8765. 0: any free port.",

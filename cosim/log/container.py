@@ -41,6 +41,7 @@ from cosim.log.places import (
     ATTACHMENT_TIMES,
     MALFORMED,
     MOST_ATTACHED,
+    RESCUE,
     Places,
     RecordSpan,
     check_attachment,
@@ -455,7 +456,7 @@ class Container:
                 check_attachment(record)
                 found: records.Attachment = parsed(records.Attachment, record[HEADER:])
             except MALFORMED as error:
-                reason = f"an attachment cannot be read: {error}"
+                reason = f"an attachment cannot be read: {error}; {RESCUE}"
                 raise self.damage_error(span.start, reason) from error
         return found
 

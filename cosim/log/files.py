@@ -352,21 +352,6 @@ class UnfinishedLog:
         with refused(f"{path} cannot be created"):
             check_folder(path.parent)
 
-    def check_not_read(self, sources: Iterable[Path]) -> None:
-        """Check that it does not replace one of its inputs.
-
-        Raises
-        ------
-        LogError
-            If it does, also under another name.
-        """
-        for source in sources:
-            if os.path.realpath(self.path) == os.path.realpath(log_path(source)):
-                raise LogError(
-                    f"{source} is an input of the new log and cannot be replaced by it; choose "
-                    "another path"
-                )
-
     def create(self) -> io.RawIOBase:
         """Create the file beside its path, under the hidden name.
 
@@ -456,6 +441,23 @@ class UnfinishedLog:
             if self._stream is not None:
                 self._stream.close()
             self._hidden_path.unlink(missing_ok=True)
+
+
+def check_not_read(out: Path, sources: Iterable[Path]) -> None:
+    """Check that a new file does not replace one of its inputs.
+
+    Raises
+    ------
+    LogError
+        If it does, also under another name.
+    """
+    for source in sources:
+        with suppress(OSError):  # what is not there is not replaced
+            if os.path.samefile(log_path(out), log_path(source)):
+                raise LogError(
+                    f"{source} is an input of {out} and cannot be replaced by it; choose another "
+                    "path"
+                )
 
 
 def check_not_written(path: Path) -> None:

@@ -18,6 +18,7 @@ from cosim.core.recorded.joined_rows import JoinedRows, joined_rows
 from cosim.core.recorded.run import RecordedWindow, span_ns
 from cosim.core.recorded.selection import SelectedColumn, split_names
 from cosim.errors import LogError
+from cosim.instants import Seconds
 from cosim.log.files import OwnFile, is_begun, is_written, part_path, part_paths
 from cosim.log.preamble import PART_REASON, PARTIAL, PARTIAL_STATUS
 from cosim.log.reader import Log, open_log
@@ -36,7 +37,7 @@ class FollowedLog:
     path : Path
     names : iterable of str, or None
         Names and patterns, several with commas between; None: all.
-    start, stop : float or None
+    start, stop : float, Decimal or None
         First and last time [s].
     wait : callable, optional
         Called between two looks.
@@ -53,8 +54,8 @@ class FollowedLog:
         self,
         path: Path,
         names: Iterable[str] | None,
-        start: float | None = None,
-        stop: float | None = None,
+        start: Seconds | None = None,
+        stop: Seconds | None = None,
         *,
         wait: Callable[[], None] | None = None,
     ) -> None:

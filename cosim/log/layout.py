@@ -29,6 +29,7 @@ from mcap import records
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
+from cosim.arguments import READ_BY
 from cosim.arrays import Matrix
 from cosim.core.recorded.partial import PartialRecord, RecordSelection
 from cosim.core.signals import Channel, Interface, Signal, element_names
@@ -462,11 +463,10 @@ def read_parts(path: Path, channels: Mapping[int, records.Channel]) -> dict[int,
             ) from error
     if not parts:
         topics = [channel.topic for channel in channels.values()]
-        joined = ", ".join(topics) or "no channels at all"
+        joined = ", ".join(topics) or "none"
         raise LogError(
-            f"{path} has no channels of cosim (with 'cosim.component'); available: {joined}. For "
-            "recordings of other tools, 'cosim info' lists the fields and "
-            f"{option('swap')} reads them"
+            f"{path}: expected a log of cosim, got an MCAP file of another tool (channels: "
+            f"{joined}); {READ_BY}, and {option('swap')} takes its samples"
         )
     return parts
 

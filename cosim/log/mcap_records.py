@@ -17,8 +17,10 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import McapRecord
 
-# As in mcap.writer and mcap.reader, which load every compressor that is installed.
-MAGIC: Final = b"\x89MCAP0\r\n"  # at both ends of a file
+from cosim.files import MCAP_MAGIC
+
+# Not that of mcap.writer or mcap.reader, which load every compressor that is installed.
+MAGIC: Final = MCAP_MAGIC
 
 HOLE: Final = 0x80  # room that a file which is still written has for its next rows
 SLOT: Final = 0x81  # room for a summary

@@ -40,6 +40,7 @@ from cosim.log.mcap_records import (
 MALFORMED: Final = (McapError, ValueError, KeyError, TypeError, OverflowError, struct.error)
 MOST_ATTACHED: Final = 2**28  # bytes of an attachment
 OWN_LIBRARY: Final = "cosim/"  # what the name of ours begins with
+RESCUE: Final = "recover the intact part with 'cosim recover', which reports what is lost"
 
 _MOST_SUMMARY: Final = 2**30  # bytes
 _MOST_NAME: Final = 2**10
@@ -442,16 +443,13 @@ def _incomplete(
     if stream.read() == MAGIC:
         return damage_error(path, position, "no complete record begins there")
     rescue = "it has no complete row: run it again"
-    if not is_ours(stream):
+    if position > len(MAGIC) and not is_ours(stream):  # else who wrote it is cut off, too
         rescue = "recover the intact part with 'mcap recover'"
     elif places.chunks:
         # A chunk holds rows of some components, so that others may end long before it.
         stream.seek(places.chunks[-1].start + HEADER + 8)  # after the time of its first message
         end_ns = int.from_bytes(stream.read(8), "little")
-        rescue = (
-            f"its last complete chunk ends at t = {end_ns / 1e9} s: run it again, or recover the "
-            "intact part with 'cosim recover', which reports what is lost"
-        )
+        rescue = f"its last complete chunk ends at t = {end_ns / 1e9} s: run it again, or {RESCUE}"
     return LogError(
         f"{path} is truncated at byte {size}: its end is missing, as after an interrupted "
         f"copy; {rescue}"

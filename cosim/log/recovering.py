@@ -25,7 +25,7 @@ from cosim.errors import LogError
 from cosim.instants import NANOSECONDS, Grid
 from cosim.log.chunks import CHUNK_HEAD, MOST_BYTES, decompressed, read_chunk_header
 from cosim.log.container import Container
-from cosim.log.files import UnfinishedLog, log_path
+from cosim.log.files import UnfinishedLog, check_not_read, log_path
 from cosim.log.mcap_records import HEADER, RECORD_HEADER
 from cosim.log.metadata import PREFIX, verify_checksum
 from cosim.log.pieces import LogPieces, gathered, write_log
@@ -114,6 +114,9 @@ class RecoveredLog:
     has_all_messages : bool
         Whether all that is beside rows is there: messages, events, substeps. No: some are lost, or
         the file does not say any more how many there were.
+    lost_records : int
+        Metadata records and attachments that are lost; 0 also where the file does not say any more
+        how many there were.
     """
 
     log: Log
@@ -121,6 +124,7 @@ class RecoveredLog:
     end_ns: int
     end_is_known: bool
     has_all_messages: bool
+    lost_records: int
 
     @property
     def whole_until_ns(self) -> int | None:
@@ -154,6 +158,7 @@ class RecoveredLog:
             "end": self.end_ns / NANOSECONDS,
             "end_is_known": self.end_is_known,
             "has_all_messages": self.has_all_messages,
+            "lost_records": self.lost_records,
             "has_scenario": self.has_scenario,
             "components": components,
         }
@@ -177,8 +182,8 @@ def recover(path: Path, out: Path, *, force: bool = False) -> RecoveredLog:
         ``out`` cannot be written, or is that file.
     """
     path = log_path(path)
+    check_not_read(out, [path])
     target = UnfinishedLog(out, force=force)
-    target.check_not_read([path])
     file = Container(path, find=searched)
     declared = LogPieces.of(file)
     pieces = _complete_components(declared)
@@ -210,7 +215,7 @@ def recover(path: Path, out: Path, *, force: bool = False) -> RecoveredLog:
         pieces = replace(pieces, metadata=pieces.kept_metadata)
     batches = gathered(file.blocks(), pieces.dtypes, selection.wanted)
     log = write_log(target, pieces, batches, lambda _: end)
-    return RecoveredLog(log, rows, end_ns, end_is_known, has_all_messages)
+    return RecoveredLog(log, rows, end_ns, end_is_known, has_all_messages, _lost_records(file))
 
 
 def _complete_components(pieces: LogPieces) -> LogPieces:
@@ -236,6 +241,17 @@ def _has_all_messages(file: Container, pieces: LogPieces, counts: Mapping[int, i
     return all(
         counts.get(number, 0) >= of_file[number] for number in of_file if number not in pieces.parts
     )
+
+
+def _lost_records(file: Container) -> int:
+    """Return how many metadata records and attachments are lost, by the statistics of the file."""
+    statistics = file.summary.statistics
+    if statistics is None:
+        return 0
+    others = file.places.others
+    metadata: int = statistics.metadata_count - len(others[Opcode.METADATA])
+    attachments: int = statistics.attachment_count - len(others[Opcode.ATTACHMENT])
+    return max(metadata, 0) + max(attachments, 0)
 
 
 def _times(file: Container, pieces: LogPieces) -> tuple[dict[str, Nanoseconds], dict[int, int]]:

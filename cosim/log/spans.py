@@ -18,9 +18,9 @@ import numpy as np
 from cosim.arrays import Mask, Nanoseconds
 from cosim.core.recorded.run import RecordedWindow, span_ns
 from cosim.errors import LogError, UsageError
-from cosim.instants import NANOSECONDS
+from cosim.instants import NANOSECONDS, Seconds
 from cosim.log.container import Container
-from cosim.log.files import OwnFile, UnfinishedLog, part_paths
+from cosim.log.files import OwnFile, UnfinishedLog, check_not_read, part_paths
 from cosim.log.layout import Part
 from cosim.log.metadata import WRITTEN
 from cosim.log.pieces import LogPieces, gathered, write_log
@@ -31,8 +31,8 @@ from cosim.temporary import TemporaryFolder
 
 def cut(
     path: Path,
-    start: float | None,
-    stop: float | None,
+    start: Seconds | None,
+    stop: Seconds | None,
     out: Path,
     *,
     names: tuple[str, str] = ("start", "stop"),
@@ -46,7 +46,7 @@ def cut(
     Parameters
     ----------
     path : Path
-    start, stop : float or None
+    start, stop : float, Decimal or None
         [s]. None: from the first row on, up to the last one.
     out : Path
     names : tuple of str
@@ -63,8 +63,8 @@ def cut(
         log.
     """
     first_ns, last_ns = span_ns(start, stop, names)
+    check_not_read(out, [path])
     target = UnfinishedLog(out, force=force)
-    target.check_not_read([path])
     log = open_log(path)
     file = Container(log.path)
     pieces = LogPieces.of(file)
@@ -154,8 +154,8 @@ def merge(paths: Sequence[Path], out: Path, *, force: bool = False) -> Log:
     """
     if len(paths) < 2:
         raise UsageError(f"expected at least two logs to merge, got {len(paths)}")
+    check_not_read(out, paths)
     target = UnfinishedLog(out, force=force)
-    target.check_not_read(paths)
     parts = sorted((_part(path) for path in paths), key=lambda part: part.begin)
     for earlier, later in pairwise(parts):
         problem = _contradiction(earlier.pieces, later.pieces)

@@ -16,6 +16,7 @@ import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import islice
 from typing import Final, Protocol, TypeAlias
 
 import numpy as np
@@ -32,7 +33,7 @@ from cosim.core.recorded.selection import (
 from cosim.core.recorded.signals import RecordedPort
 from cosim.core.signals import Signal
 from cosim.errors import UsageError, nearest
-from cosim.instants import NANOSECONDS
+from cosim.instants import NANOSECONDS, Seconds
 from cosim.units import with_unit
 
 
@@ -78,7 +79,7 @@ def signal_metadata(signal: Signal, unit: str | None) -> dict[str, str]:
 
 
 def choose(
-    run: RecordedRun, names: Iterable[str] | None, start: float | None, stop: float | None
+    run: RecordedRun, names: Iterable[str] | None, start: Seconds | None, stop: Seconds | None
 ) -> LogChoice:
     """Choose of a run what options of the command line say.
 
@@ -87,7 +88,7 @@ def choose(
     run : RecordedRun
     names : iterable of str, or None
         Names and patterns, several with commas between; None: all.
-    start, stop : float or None
+    start, stop : float, Decimal or None
         First and last time [s].
 
     Raises
@@ -100,6 +101,18 @@ def choose(
     span = span_ns(start, stop, names=("--from", "--to"))
     part = run if span == (None, None) else RecordedWindow(run, *span)
     return LogChoice.of(part, None if names is None else split_names(",".join(names)))
+
+
+def rows_text(run: RecordedRun) -> str:
+    """Return from when to when a run has rows."""
+    firsts = []
+    for name in run.channels:
+        blocks = (time_ns for time_ns, _ in run.blocks(name) if len(time_ns))
+        firsts += [int(time_ns[0]) for time_ns in islice(blocks, 1)]
+    if not firsts:
+        return "no rows at all"
+    first, last = exact_seconds(np.array([min(firsts), run.end_ns]))
+    return f"rows from {first} s to {last} s"
 
 
 _MOST_ROWS: Final = 4096  # that are text at a time

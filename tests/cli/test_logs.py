@@ -1,11 +1,13 @@
 """The commands on logs: what they contain, how they differ, and what is made of them."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
 from contextlib import ExitStack
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -265,6 +267,11 @@ def test_diff_says_where_it_compares(call):
     assert note.format("u.y at 101", 101, 201) in out.splitlines()
 
 
+def test_the_help_of_diff_says_that_nothing_is_tolerated(call):
+    """By default, neither absolutely nor relatively."""
+    assert call("diff", "--help")[1].count("[default: 0.0]") == 2
+
+
 # --- for other tools ---
 
 
@@ -282,6 +289,31 @@ def test_cat_prints_the_rows_that_are_chosen(call, tmp_path):
 
 
 @pytest.mark.usefixtures("files")
+def test_a_span_without_rows_is_said_with_that_of_the_log(call):
+    """The header is printed all the same; of a log whose span is not chosen nothing is said."""
+    header = call("cat", "a.mcap")[1].splitlines()[0]
+    said = "a.mcap from 5 s: no rows in this span; a.mcap has rows from 0.0 s to 0.1 s\n"
+    assert call("cat", "a.mcap", "--from", "5") == (0, f"{header}\n", said)
+    assert call("cat", "a.mcap", "--from", "5", "--format", "jsonl") == (0, "", said)
+    call("cut", "a.mcap", "--from", "0.02", "--to", "0.05", "--out", "c.mcap")
+    err = call("cat", "c.mcap", "--to", "0.0105", "--signals", "plant.y")[2]
+    assert "c.mcap has rows from 0.02 s to 0.05 s" in err
+    for span in (["--from", "0.1"], ["--to", "0"], []):
+        assert call("cat", "a.mcap", *span)[2] == ""
+
+
+def test_a_span_has_all_digits_of_its_times(call, tmp_path):
+    """Of nanoseconds since 1970, which doubles do not tell apart."""
+    times = [1764570000123456788 + k for k in range(4)]
+    write_json(tmp_path / "r.mcap", {"/r": [(t, {"y": float(k)}) for k, t in enumerate(times)]})
+    span = ("--from", "1764570000.123456789", "--to", "1764570000.123456790")
+    rows = ["1764570000.123456789,1.0", "1764570000.12345679,2.0"]
+    assert call("cat", "r.mcap", *span)[1].splitlines()[1:] == rows
+    assert call("convert", "r.mcap", "r.csv", *span)[0] == 0
+    assert (tmp_path / "r.csv").read_text().splitlines()[1:] == rows
+
+
+@pytest.mark.usefixtures("files")
 def test_all_that_is_recorded_is_what_commands_take_by_default(call):
     """Of a partial log."""
     header, *rows = call("cat", "part.mcap")[1].splitlines()
@@ -291,6 +323,22 @@ def test_all_that_is_recorded_is_what_commands_take_by_default(call):
     for command in ("convert part.mcap a.csv", "plot part.mcap --out a.svg"):
         out = command.split()[-1]
         assert call(*command.split()) == (0, f"{out}\n", "")
+
+
+@pytest.mark.usefixtures("files")
+@pytest.mark.parametrize("link", [os.link, os.symlink])
+@pytest.mark.parametrize("command", ["convert a.csv OUT", "cut a.mcap --from 0 -o OUT"])
+def test_a_command_does_not_write_over_its_input(call, link, command):
+    """Also under another name of the file; the content stays."""
+    call("convert", "a.mcap", "a.csv")
+    source = Path(command.split()[1])
+    content = source.read_bytes()
+    link(source, source.with_stem("c"))
+    for out in (source, source.with_stem("c")):
+        code, printed, err = call(*command.replace("OUT", out.name).split(), "--force")
+        assert (code, printed) == (2, "")
+        assert f"{source} is an input of {out} and cannot be replaced by it" in err
+        assert out.read_bytes() == content
 
 
 FOLLOW = [sys.executable, "-m", "cosim", "cat", "a.mcap", "--follow"]

@@ -69,6 +69,8 @@ FILES = {
     "cat a.mcap --format xml": "--format: .*'xml'; available: csv, jsonl",
     "cat a.mcap --signals plant.v": "'plant' has no signal 'v'",
     "cat a.mcap --from nan": "--from: .*nan",
+    "cat a.mcap --to early": "--to: .*'early'",
+    "cat a.mcap --to snan": "--to: .*'snan'",
     "cat none.mcap": r"none\.mcap cannot be read",
     "cat none.mcap --follow": r"none\.mcap cannot be read",
     "convert a.mcap a.txt": r"'\.txt'",
@@ -80,6 +82,9 @@ FILES = {
     "cut a.mcap --to 0.05 -o b.mcap": "b.mcap exists",
     "merge a.mcap -o c.mcap": "two logs.*got 1",
     "merge a.mcap a.mcap -o c.mcap": "they overlap",
+    "cut a.mcap --from 0 -o c.csv": r"--out c\.csv: expected .*\.mcap.*convert' writes",
+    "merge a.mcap a.mcap -o c.NPZ": r"--out c\.NPZ: expected .*'\.NPZ'",
+    "recover short.mcap -o c.mat": r"--out c\.mat: expected .*'\.mat'",
     "recover none.mcap -o c.mcap": r"none\.mcap cannot be read",
     "diff a.mcap b.mcap plant.x_c": "'plant' has no signal 'x_c'; did you mean 'x_b'?",
     "diff a.mcap b.mcap --tol u.y": r"--tol 'u\.y': .*no '='",
@@ -123,6 +128,22 @@ FILES = {
     "linearize plant.fmu --set =3": "--set '=3': .*no name",
     "linearize plant.fmu --set u": "--set 'u': .*no '='",
     "linearize plant.fmu --input w": "no input 'w'.*: u, delta",
+}
+READ_BY = "'cosim cat' without --follow, diff, metrics, plot and convert read it"
+LINES_OF_OWN_LOGS = (
+    "hash {}",
+    "cat {} --follow",
+    "cut {} --from 0 -o c.mcap",
+    "merge {} a.mcap -o c.mcap",
+    "play {} --port 0",
+)
+OTHERS = {
+    "replay old.csv": f"old.csv': expected a log .* got a table; {READ_BY}",
+    **{
+        line.format(name): f"{name}'?: expected a log .*of cosim, got {found} .*{READ_BY}"
+        for line in LINES_OF_OWN_LOGS
+        for name, found in {"old.csv": "a table;", "field.mcap": "an MCAP file of another"}.items()
+    },
 }
 # The reason is the same for every command that needs a signal which was not recorded.
 NO_LOG = {
@@ -173,7 +194,7 @@ STUDIES = {
     f"tune lag.toml {GOAL} {VARY} --scheduler tcp://127.0.0.1:1": "--scheduler: .*'cobyqa'",
     f"tune lag.toml {GOAL} {VARY} --standard-errors": "--standard-errors: .* rms ",
 }
-WRONG = OPTIONS | FILES | NO_LOG | UNRECORDED | STUDIES
+WRONG = OPTIONS | FILES | OTHERS | NO_LOG | UNRECORDED | STUDIES
 WITH_VIEWERS = [line for line in WRONG if line.startswith("play")]  # need the SDK of viewers
 
 

@@ -2,6 +2,7 @@
 
 import json
 import tomllib
+from decimal import Decimal
 
 import numpy as np
 import pytest
@@ -137,6 +138,19 @@ def test_the_edges_of_a_window_are_doubles_as_the_times_are():
     """Each instant is in the window from its own time to its own time."""
     for k in range(0, 10**9, 99_999_937):
         assert span_ns(k / 1e9, k / 1e9) == (k, k)
+
+
+def test_the_edges_of_a_window_may_be_decimals():
+    """Which tell nanoseconds since 1970 apart; beyond all rows any time is the same."""
+    t = Decimal("1764570000.123456789")
+    assert span_ns(t, t) == (1764570000123456789, 1764570000123456789)
+    between = Decimal("1764570000.1234567895")
+    assert span_ns(between, between) == (1764570000123456790, 1764570000123456789)
+    assert span_ns(Decimal("-1e300"), Decimal("1e300")) == span_ns(-1e300, 1e300)
+    with pytest.raises(UsageError, match=r"t0 = 1764570000\.123456789 s and t1 = 2\.0 s"):
+        span_ns(t, Decimal(2))
+    with pytest.raises(UsageError, match=r"t1: .*seconds, got nan"):
+        span_ns(None, Decimal("nan"))
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])

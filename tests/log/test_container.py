@@ -104,7 +104,9 @@ def test_files_that_are_no_logs_are_named(tmp_path):
     writer.register_channel("/tf", "json", 0)
     writer.finish()
     path.write_bytes(stream.getvalue())
-    with pytest.raises(LogError, match=r"a\.mcap has no channels of cosim.*/tf"):
+    with pytest.raises(
+        LogError, match=r"a\.mcap: expected a log of cosim, got .* of another tool.*/tf"
+    ):
         open_log(path)
 
 

@@ -230,7 +230,7 @@ def test_files_that_are_no_mcap_are_refused(tmp_path):
     for content, text in [
         (b"", "is empty; expected an MCAP file"),
         (b"t,y\n0,1\n", "is not an MCAP file: expected (?!.*t,y)"),
-        (b"\x89MCAP0\r\n", "is truncated at byte 8: .*'mcap recover'"),
+        (b"\x89MCAP0\r\n", "is truncated at byte 8: .*no complete row"),
     ]:
         path.write_bytes(content)
         with pytest.raises(LogError, match=rf"x\.mcap {text}"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import shutil
+from io import BytesIO
 
 import numpy as np
 import pytest
@@ -93,6 +94,7 @@ def test_a_log_that_is_whole_comes_back_as_it_was(tmp_path, written):
     check_rows(recovery, rows)
     assert recovery.log.status == "complete"
     assert recovery.end_is_known
+    assert recovery.lost_records == 0
     assert all(not own.lost for own in recovery.rows.values())
     source = tmp_path / "a.mcap"
     source.write_bytes(data)
@@ -335,6 +337,7 @@ def test_a_killed_run_is_recovered(tmp_path, flushing):
         assert same_bits(recovery.log.rows(name)[: len(rows)], rows)
         assert all(lost.first_ns > killed.end_ns for lost in own.lost)
     assert recovery.log.status == "interrupted"
+    assert recovery.lost_records == 0
     assert cosim.diff(recovery.log, cosim.replay(recovery.log)).equal
 
 
@@ -354,6 +357,18 @@ def test_a_lost_chunk_of_messages_is_reported(tmp_path, written):
         "recovered from broken.mcap",
     )
     assert recovered(tmp_path, data).has_all_messages
+
+
+def test_lost_metadata_and_attachments_are_counted(tmp_path, written):
+    """All rows are there, but not all that says what they are."""
+    data, rows, _ = written
+    summary = make_reader(BytesIO(data)).get_summary()
+    broken = bytearray(data)
+    for number, index in enumerate([*summary.attachment_indexes[:1], *summary.metadata_indexes]):
+        broken[index.offset + index.length - 5] ^= 4
+        recovery = recovered(tmp_path, broken)
+        check_rows(recovery, rows)
+        assert recovery.lost_records == recovery.to_dict()["lost_records"] == number + 1
 
 
 def test_a_damaged_file_is_not_replaced_by_what_is_recovered_of_it(tmp_path, written):

@@ -12,6 +12,7 @@ from mcap.writer import IndexType
 import cosim
 from cosim.errors import LogError, UsageError
 from cosim.log import open_log
+from cosim.log.recovering import recover
 from cosim.log.spans import cut, merge, open_joined
 from cosim.report.verification import verify
 from tests.log.crafting import change_rows, put_together, take_apart
@@ -77,6 +78,27 @@ def test_a_cut_without_rows_is_refused(whole, tmp_path):
     with pytest.raises(UsageError, match=r"2\.0 s|1\.0 s"):
         cut(path, 2.0, 1.0, tmp_path / "b.mcap")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_log_with_a_damaged_attachment_is_recovered_first(whole, tmp_path):
+    """The refusal names the command for that; what it keeps is cut."""
+    path, rows = whole
+    with path.open("rb") as stream:
+        damaged = make_reader(stream).get_summary().attachment_indexes[0]
+    data = bytearray(path.read_bytes())
+    data[damaged.offset + damaged.length - 10] ^= 1
+    (tmp_path / "a.mcap").write_bytes(data)
+    rest = tmp_path / "rest.mcap"
+    cut(path, 0.5, None, rest)
+    for refused in (
+        lambda: cut(tmp_path / "a.mcap", None, 0.499, tmp_path / "b.mcap"),
+        lambda: merge([tmp_path / "a.mcap", rest], tmp_path / "b.mcap"),
+    ):
+        with pytest.raises(LogError, match=rf"at byte {damaged.offset}: .*'cosim recover'"):
+            refused()
+    recover(tmp_path / "a.mcap", tmp_path / "b.mcap")
+    kept = cut(tmp_path / "b.mcap", None, 0.499, tmp_path / "c.mcap")
+    assert same_bits(kept["plant.u"], rows[:500, 0])
 
 
 def test_a_log_that_exists_is_not_replaced_unless_asked(whole, tmp_path):

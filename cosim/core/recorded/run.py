@@ -10,6 +10,7 @@ import json
 import math
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from decimal import Decimal
 from functools import cached_property
 from importlib import import_module
 from types import MappingProxyType
@@ -43,7 +44,14 @@ from cosim.core.recording import (
 )
 from cosim.core.signals import Channel, Signal
 from cosim.errors import LogError, UnknownSignalError, UsageError, quoted
-from cosim.instants import NANOSECONDS, Grid, StepNs, first_nanosecond, last_nanosecond
+from cosim.instants import (
+    NANOSECONDS,
+    Grid,
+    Seconds,
+    StepNs,
+    first_nanosecond,
+    last_nanosecond,
+)
 
 if TYPE_CHECKING:
     import pandas
@@ -514,13 +522,13 @@ def _read_table(label: str, text: str) -> dict[str, Any]:
 
 
 def span_ns(
-    t0: float | None, t1: float | None, names: tuple[str, str] = ("t0", "t1")
+    t0: Seconds | None, t1: Seconds | None, names: tuple[str, str] = ("t0", "t1")
 ) -> tuple[int | None, int | None]:
     """Return the first and the last nanosecond in ``t0 <= t <= t1``; None stays None.
 
     Parameters
     ----------
-    t0, t1 : float or None
+    t0, t1 : float, Decimal or None
         [s].
     names : tuple of str
         What they are called in messages.
@@ -531,20 +539,28 @@ def span_ns(
         If one is no finite number, or t1 is before t0.
     """
     for name, value in zip(names, (t0, t1), strict=True):
-        if value is not None and not math.isfinite(number_argument(name, value)):
-            raise UsageError(f"{name}: expected a finite number of seconds, got {value!r}")
+        if value is None:
+            continue
+        number = float(value) if isinstance(value, Decimal) else number_argument(name, value)
+        if not math.isfinite(number):
+            raise UsageError(f"{name}: expected a finite number of seconds, got {number!r}")
     if t0 is not None and t1 is not None and t1 < t0:
-        raise UsageError(
-            f"expected {names[0]} <= {names[1]}, got {names[0]} = {t0} s and {names[1]} = {t1} s"
-        )
+        found = [f"{name} = {_seconds_text(t)} s" for name, t in zip(names, (t0, t1), strict=True)]
+        raise UsageError(f"expected {names[0]} <= {names[1]}, got {' and '.join(found)}")
     first_ns = None if t0 is None else first_nanosecond(_within_range(t0))
     last_ns = None if t1 is None else last_nanosecond(_within_range(t1))
     return first_ns, last_ns
 
 
-def _within_range(t: float) -> float:
+def _seconds_text(t: Seconds) -> str:
+    """Return a time as the double is written, if that is what it is."""
+    text = f"{float(t)}"
+    return text if Decimal(text) == t else f"{t}"
+
+
+def _within_range(t: Seconds) -> Seconds:
     """Return a time that fits into 64 bits of nanoseconds, on the same side of all rows."""
-    return min(max(float(t), -_LATEST), _LATEST)
+    return min(max(t if isinstance(t, Decimal) else float(t), -_LATEST), _LATEST)
 
 
 def rows_within(

@@ -61,6 +61,9 @@ def show_recovery(recovery: RecoveredLog) -> Shown:
         yield f"any rows after {content['end']} s are lost, too: the file has no end"
     if not recovery.has_all_messages:
         yield "messages, events or substeps are lost, too, or their number is unknown"
+    if recovery.lost_records:
+        lost_count = recovery.lost_records
+        yield f"metadata records and attachments lost, too: {lost_count}; a replay may need them"
     if not recovery.has_scenario:
         yield "the scenario is lost: the log can be read, but not replayed"
     log = recovery.log

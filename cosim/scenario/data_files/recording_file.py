@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zipfile
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from io import BytesIO
@@ -11,7 +12,9 @@ from types import MappingProxyType
 from typing import Any, Final, TypeAlias, final
 
 import numpy as np
+from numpy.lib.format import read_array
 
+from cosim.arguments import path_argument
 from cosim.arrays import Mask, Matrix, Nanoseconds, Vector, as_columns, is_absent, read_only
 from cosim.core.port import Port
 from cosim.core.recorded.run import RecordedRun
@@ -19,7 +22,7 @@ from cosim.core.recorded.signals import RunMessage
 from cosim.core.recording import TimedRows
 from cosim.core.signals import Channel, Interface, Signal
 from cosim.errors import LogError, UsageError, listing, warn
-from cosim.files import expanded, file_type
+from cosim.files import read_type
 from cosim.instants import NANOSECONDS
 from cosim.log.conversion import SIGNALS_KEY, TIME_KEY
 from cosim.log.foreign.recording import read_recording
@@ -68,10 +71,12 @@ def open_recording(path: str | Path) -> RecordedRun:
     >>> open_recording("level.csv")["table.level"].tolist()
     [1.5, 2.0]
     """
-    path = expanded(path)
-    run = _arrays(path) if path.suffix.lower() in _ARRAYS else None
+    path = path_argument("path", path)
+    kind = read_type(path)
+    has_arrays = kind != "log" and path.suffix.lower() in _ARRAYS
+    run = _arrays(path) if has_arrays else None
     if run is None:
-        match file_type(path):
+        match kind:
             case "table":
                 run = _table(path)
             case "log" if is_foreign(path):
@@ -83,8 +88,8 @@ def open_recording(path: str | Path) -> RecordedRun:
 
 
 def is_recording(path: str | Path) -> bool:
-    """Return whether a file is one that :func:`open_recording` opens, by the ending of its name."""
-    return file_type(path) in ("log", "table") or Path(path).suffix.lower() in _ARRAYS
+    """Return whether a file is one that :func:`open_recording` opens, as far as can be seen."""
+    return read_type(path) in ("log", "table") or Path(path).suffix.lower() in _ARRAYS
 
 
 _ComponentSamples: TypeAlias = tuple[Nanoseconds, Sequence[tuple[Signal, Matrix]]]
@@ -282,12 +287,20 @@ _WrittenArray: TypeAlias = tuple[Mapping[str, str], Any, Any]
 
 
 def _npz_arrays(content: bytes) -> Iterator[_WrittenArray]:
-    with np.load(BytesIO(content), allow_pickle=False) as archive:
-        if sum(entry.file_size for entry in archive.zip.infolist()) > LARGEST:
+    with zipfile.ZipFile(BytesIO(content)) as archive:
+        if sum(entry.file_size for entry in archive.infolist()) > LARGEST:
             raise ValueError(f"more than {LARGEST} bytes")
-        for name, about in json.loads(str(archive[SIGNALS_KEY])).items():
-            times = archive[f"{TIME_KEY}{Port.parse(name).component}"]
-            yield {**about, "name": name}, archive[name], times
+
+        def read(name: str) -> Any:
+            with archive.open(f"{name}.npy") as file:
+                try:
+                    return read_array(file, allow_pickle=False)
+                except ValueError as error:  # numpy advises to allow what runs code
+                    raise ValueError(f"array {name!r} is damaged or has Python objects") from error
+
+        for name, about in json.loads(str(read(SIGNALS_KEY))).items():
+            times = read(f"{TIME_KEY}{Port.parse(name).component}")
+            yield {**about, "name": name}, read(name), times
 
 
 def _arrays(path: Path) -> FileRun | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 
 import numpy as np
@@ -83,9 +84,21 @@ def test_damaged_arrays_are_refused_or_read(tmp_path, ending):
         except UsageError:
             refused += 1
     assert refused > 20
-    np.savez(tmp_path / "b.npz", y=np.array([print], object))
-    with pytest.raises(UsageError, match=r"b\.npz': expected arrays as 'cosim convert' writes"):
-        cosim.open_recording(tmp_path / "b.npz")
+
+
+def test_other_files_of_arrays_are_refused(tmp_path):
+    """What numpy advises then, to allow code in them, is not passed on."""
+    objects = np.array([print], object)
+    np.savez(tmp_path / "other.npz", y=np.arange(3.0))
+    np.savez(tmp_path / "objects.npz", signals=objects)
+    np.savez(tmp_path / "times.npz", **{"signals": np.array('{"a.y": {}}'), "t:a": objects})
+    (tmp_path / "text.npz").write_text("no archive")
+    (tmp_path / "empty.npz").touch()
+    for path in sorted(tmp_path.iterdir()):
+        with pytest.raises(UsageError) as refused:
+            cosim.open_recording(path)
+        assert f"{path.name}': expected arrays as 'cosim convert' writes them" in str(refused.value)
+        assert "pickle" not in str(refused.value)
 
 
 def test_rows_of_one_time_are_those_of_a_jump(tmp_path):
@@ -260,3 +273,6 @@ def test_what_is_no_recording_is_refused(tmp_path):
         cosim.open_recording(tmp_path / "b.mcap")
     with pytest.raises(LogError, match=r"c\.mcap.*No such file"):
         cosim.open_recording(tmp_path / "c.mcap")
+    for value in (None, 3, b"a.csv", ["a.csv"]):
+        with pytest.raises(UsageError, match=rf"^path: expected a path.* {re.escape(repr(value))}"):
+            cosim.open_recording(value)
