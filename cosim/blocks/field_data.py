@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import NAN, Matrix, Nanoseconds, Vector
+from cosim.arrays import NAN, Matrix, Vector
 from cosim.core.contracts import Stopped
 from cosim.core.signals import (
     SAMPLE_TIMES,
@@ -99,8 +99,6 @@ class FieldData:
         Where the largest gap begins [s], and the offset by which t = 0 is behind it.
     reading : tuple of (str, str, str, str)
         What was found in the file: what, as what, why, and the key that says it otherwise.
-    time_ns : Nanoseconds or None, shape (N,)
-        The times as whole ns, where they were asked for.
     """
 
     source: str
@@ -112,7 +110,6 @@ class FieldData:
     end: float | None = None
     restart: tuple[float, str] | None = None
     reading: tuple[tuple[str, str, str, str], ...] = ()
-    time_ns: Nanoseconds | None = None
 
     def __getitem__(self, name: str) -> Matrix:
         """Return the samples of a signal, shape (N, size); NaN: not measured.

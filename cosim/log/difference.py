@@ -224,25 +224,27 @@ class LogDifference:
         return max(apart, key=_badness, default=None)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything as JSON values."""
+        """Return everything as JSON values; what was not asked for has no key."""
         first = self.first
         signals = []
         for row in self.rows:
             own = None if row.first is None else row.first.to_dict()
             signals.append({**asdict(row), "first": own, "ratio": row.ratio})
+        asked: dict[str, Any] = {"map": dict(self.map)} if self.map else {}
+        if self.tube is not None:
+            asked |= {"interpolate": True, "tube": self.tube}
+        if self.not_compared:
+            asked["not_compared"] = list(self.not_compared)
         return {
             "equal": self.equal,
             "within": self.within,
             "atol": self.atol,
             "rtol": self.rtol,
             "tol": dict(self.tol),
-            "map": dict(self.map),
-            "interpolate": self.tube is not None,
-            "tube": self.tube,
-            "not_compared": list(self.not_compared),
             "first": None if first is None else first.to_dict(),
             "signals": signals,
             "events": asdict(self.events),
+            **asked,
         }
 
 

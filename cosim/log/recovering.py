@@ -158,9 +158,9 @@ class RecoveredLog:
             "end": self.end_ns / NANOSECONDS,
             "end_is_known": self.end_is_known,
             "has_all_messages": self.has_all_messages,
-            "lost_records": self.lost_records,
             "has_scenario": self.has_scenario,
             "components": components,
+            **({"lost_records": self.lost_records} if self.lost_records else {}),
         }
 
 

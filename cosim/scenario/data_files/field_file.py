@@ -224,13 +224,10 @@ def field_data(
     form: FieldForm | None = None,
     *,
     unread: dict[str, str] | None = None,
-    jumps: bool = False,
 ) -> FieldData:
     """Read samples as :func:`read_field_data` does; whoever takes them shows their diagnostics.
 
-    ``unread`` takes the signals that cannot be read, and why, where that shall be no error. With
-    ``jumps`` the rows of a table at one time are those of a jump, its times are whole ns, and NaN
-    is a value, which an empty cell is not.
+    ``unread`` takes the signals that cannot be read, and why, where that shall be no error.
     """
     path = expanded(path)
     form = form or FieldForm.model_validate({"path": str(path)})
@@ -238,7 +235,33 @@ def field_data(
         fields = form.listed_columns
         wanted = chain.from_iterable(fields.values())
         return message_data(form, path, fields, partial(read_samples, form, path, wanted))
-    table = read_table(path, form, form.missing)
+    return _table_data(read_table(path, form, form.missing), form, unread)[0]
+
+
+class RecordedTable(NamedTuple):
+    """A table as a recording: its samples, their times as whole ns, and what cannot be read."""
+
+    data: FieldData
+    time_ns: Nanoseconds
+    left_out: dict[str, str]
+
+
+def recorded_table(path: Path) -> RecordedTable:
+    """Read a table as a recording: rows of one time are those of a jump, and NaN is a value.
+
+    An empty cell is ABSENT.
+    """
+    form = FieldForm.model_validate({"path": str(path)})
+    table = read_table(path, form)
+    unread = dict(table.left_out)
+    data, time_ns = _table_data(table, form, unread, jumps=True)
+    return RecordedTable(data, time_ns, unread)
+
+
+def _table_data(
+    table: DataTable, form: FieldForm, unread: dict[str, str] | None, *, jumps: bool = False
+) -> tuple[FieldData, Nanoseconds]:
+    """Return the samples of a table; with jumps also their times as whole ns."""
     named = [header for header in table.headers if header.text]
     clock, notes = _clock(table, named, form)
     chosen = _signals(table.label, named, clock, form)
@@ -257,15 +280,15 @@ def field_data(
             values[np.isnan(values)] = NAN
         unit = unit_of(table.label, name, parts)
         signals.append(FieldSignal(name, unit, values, tuple(part.text for part in parts)))
-    return FieldData(
+    data = FieldData(
         table.label,
         times.t,
         tuple(signals),
         (*notes, *times.notes),
         restart=times.restart,
         reading=tuple(table.reading),
-        time_ns=times.time_ns,
     )
+    return data, times.time_ns
 
 
 def _without_codes(values: Matrix, missing: Sequence[float | str]) -> Matrix:
@@ -373,7 +396,7 @@ class _Times(NamedTuple):
     rows: Sequence[int]
     restart: tuple[float, str] | None
     notes: tuple[str, ...]
-    time_ns: Nanoseconds | None
+    time_ns: Nanoseconds  # none, where they are not whole
 
 
 def _times(table: DataTable, clock: Header, form: FieldForm, *, jumps: bool) -> _Times:
@@ -416,7 +439,7 @@ def _times(table: DataTable, clock: Header, form: FieldForm, *, jumps: bool) -> 
     seconds = list(map(float, exact))
     _check_increasing(table, exact if jumps else seconds, rows, jumps=jumps)
     t = np.array(seconds)
-    time_ns = _whole_ns(table, exact) if jumps else None
+    time_ns = _whole_ns(table, exact) if jumps else np.empty(0, np.int64)
     restart = None
     if len(stamps) > 1:
         gap = int(np.argmax(np.diff(t)))

@@ -259,6 +259,8 @@ class MatTable(DataTable):
                 self._rows = self._take_trajectory(matrices, others)
             else:
                 self._rows = self._take_matrices(matrices)
+                for name, other in others.items():
+                    self.left_out[name] = f"expected numbers, got {other.what}"
         except (KeyError, IndexError, ValueError) as error:
             raise UsageError(f"{self.label}: a damaged trajectory: {error}") from error
         form = (
@@ -304,7 +306,10 @@ class MatTable(DataTable):
         counts = Counter(len(matrix) for matrix in upright.values() if len(matrix) > 1)
         rows = counts.most_common(1)[0][0] if counts else 0
         for name, matrix in upright.items():
-            for number, column in enumerate(matrix.T if len(matrix) == rows else ()):
+            if len(matrix) != rows:
+                self.left_out[name] = f"expected {rows} rows, as most have, got {len(matrix)}"
+                continue
+            for number, column in enumerate(matrix.T):
                 self._add(name if matrix.shape[1] == 1 else f"{name}[{number}]", "", column)
         return rows
 

@@ -28,7 +28,7 @@ from cosim.log.conversion import SIGNALS_KEY, TIME_KEY
 from cosim.log.foreign.recording import read_recording
 from cosim.log.foreign.topics import is_foreign
 from cosim.log.reader import open_log
-from cosim.scenario.data_files.field_file import field_data
+from cosim.scenario.data_files.field_file import recorded_table
 from cosim.scenario.data_files.mat_file import OtherVariable, read_variables
 from cosim.scenario.data_files.table import LARGEST, content_of
 
@@ -208,20 +208,26 @@ def _nanoseconds(label: str, times: Vector) -> Nanoseconds:
 
 def _table(path: Path) -> FileRun:
     """Read a table; a component has rows where one of its cells is not empty."""
-    data = field_data(path, jumps=True)
-    time_ns = np.empty(0, np.int64) if data.time_ns is None else data.time_ns
+    data, time_ns, unread = recorded_table(path)
+    left_out = {_table_name(name): reason for name, reason in unread.items()}
+    problems = _left_out_texts(left_out)
+    if not data.signals:
+        raise UsageError("; ".join([f"{data.source}: expected a column of numbers", *problems]))
     declared = _declared(path)
     components: dict[str, list[tuple[Signal, Matrix]]] = defaultdict(list)
     for found in data.signals:
-        component, dot, name = found.name.partition(".")
-        values = found.values
+        component, _, name = _table_name(found.name).partition(".")
         about = declared.get(found.columns[0], {})
-        signal = Signal(
-            name if dot else component, values.shape[1], found.unit, optional=True, **about
-        )
-        components[component if dot else TABLE].append((signal, values))
+        signal = Signal(name, found.values.shape[1], found.unit, optional=True, **about)
+        components[component].append((signal, found.values))
     samples = {name: (time_ns, own) for name, own in components.items()}
-    return FileRun(str(path), samples, notes=data.diagnostics)
+    notes = [*data.diagnostics, *(f"{path}: {problem}" for problem in problems)]
+    return FileRun(str(path), samples, left_out, notes)
+
+
+def _table_name(column: str) -> str:
+    """Return the name of the signal of a column: one without a component is of the table."""
+    return column if "." in column else f"{TABLE}.{column}"
 
 
 def _declared(path: Path) -> dict[str, dict[str, Any]]:

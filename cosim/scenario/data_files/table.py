@@ -258,6 +258,7 @@ class DataTable:
         self.label = f"file {str(path)!r}"
         self.headers: list[Header] = []
         self.reading: list[Reading] = []
+        self.left_out: dict[str, str] = {}  # what is no column, and why
 
     def numbers_of(self, position: int) -> Sequence[Any] | Vector:
         """Return the numbers of a column, as the file has them, texts too; None: there is none.

@@ -172,6 +172,26 @@ def test_times_since_1970_keep_their_ns_or_a_warning_says_so(tmp_path, ending):
     assert run.time_ns("table").tolist() == [1764570000123456789, 1764570000123456790]
 
 
+def test_a_column_that_cannot_be_read_costs_itself_alone(tmp_path):
+    """It is named, with its place and what is there, and makes files differ."""
+    with pytest.warns(CosimWarning, match=r"left out: table.state: .*expected a number"):
+        run = table(tmp_path, "t,y,state\n0,1,on\n1,2,off\n")
+    assert list(run) == ["table.y"]
+    assert run.left_out.keys() == {"table.state"}
+    assert [warning.text for warning in run.warnings] == [
+        f"{run.label}: left out: table.state: {run.left_out['table.state']}"
+    ]
+    difference = cosim.diff(run, run)
+    assert {row.signal: row.status for row in difference.rows} == {
+        "table.y": "equal",
+        "table.state": "not read",
+    }
+    assert (difference.equal, difference.within) == (False, False)
+    assert cosim.diff(run, run, signals=["table.y"]).equal
+    with pytest.raises(UsageError, match="column of numbers"):
+        table(tmp_path, "t,state\n0,on\n1,off\n")
+
+
 def test_columns_are_signals_of_components(tmp_path):
     """With their units; one that names no component belongs to the table, and a gap is no row."""
     run = table(tmp_path, "t [ms],a.y [mm],a.x[0],a.x[1],p\n0,1,2,3,4\n1,,,,5\n2,6,,7,8\n")
