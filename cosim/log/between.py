@@ -11,13 +11,12 @@ Functions are of one element; times ascend.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import pairwise
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Nanoseconds, Vector, is_absent
+from cosim.arrays import Mask, Nanoseconds, Vector, is_absent
 from cosim.core.recorded.partial import declared_channels
 from cosim.core.recorded.signals import RecordedPort, own_columns
 from cosim.core.recording import Recording
@@ -40,9 +39,9 @@ def held_elements(run: Recording, port: RecordedPort) -> list[bool]:
     return [is_held] * port.size
 
 
-def measured(port: RecordedPort, times: Nanoseconds, values: Vector) -> tuple[Nanoseconds, Vector]:
-    """Return the rows of an element, without those in which it has no value, as it may."""
-    is_gap = np.isnan(values) if port.signal.optional else is_absent(values)
+def measured(times: Nanoseconds, values: Vector, nan_is_gap: bool) -> tuple[Nanoseconds, Vector]:
+    """Return the rows of an element, without those in which it has no value."""
+    is_gap = np.isnan(values) if nan_is_gap else is_absent(values)
     return (times[~is_gap], values[~is_gap]) if is_gap.any() else (times, values)
 
 
@@ -124,8 +123,15 @@ def _from_lines(
 ) -> Vector:
     begin, end = span
     apart = np.full(len(values), np.inf)
-    for start, stop in _pieces(rows):
-        own_known, own_rows = known[start:stop], rows[start:stop]
+    is_nan = np.isnan(rows)
+    if is_nan.any():
+        number = np.append(0, np.cumsum(is_nan))
+        first = np.searchsorted(known, begin, side="left")
+        stop = np.searchsorted(known, end, side="right")
+        ends = [np.isnan(values_at(at, known, rows, is_line=True)) for at in span]
+        apart[np.isnan(values) & (ends[0] | ends[1] | (number[stop] > number[first]))] = 0.0
+    for piece in _pieces(is_nan):
+        own_known, own_rows = known[piece], rows[piece]
         near = slice(
             int(np.searchsorted(end, own_known[0], side="left")),
             int(np.searchsorted(begin, own_known[-1], side="right")),
@@ -134,17 +140,16 @@ def _from_lines(
             continue
         lower, upper = _bounds(own_known, own_rows, begin[near], end[near])
         found = distance(values[near], np.clip(values[near], lower, upper))
-        found[np.isnan(values[near]) != np.isnan(lower)] = np.inf
+        found[np.isnan(values[near])] = np.inf
         apart[near] = np.minimum(apart[near], found)
     return apart
 
 
-def _pieces(rows: Vector) -> Iterator[tuple[int, int]]:
-    """Yield where lines that hang together begin and end: there are none to and from NaN."""
-    is_nan = np.isnan(rows)
-    breaks = is_nan[1:] | is_nan[:-1]
-    edges = [0, *(np.flatnonzero(breaks) + 1).tolist(), len(rows)]
-    yield from pairwise(edges)
+def _pieces(is_nan: Mask) -> Iterator[slice]:
+    """Yield the rows of lines that hang together: there are none to and from NaN."""
+    edges = np.flatnonzero(np.diff(is_nan, prepend=True, append=True)).tolist()
+    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        yield slice(start, stop)
 
 
 def _bounds(

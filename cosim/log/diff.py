@@ -8,11 +8,12 @@ Without tolerances the comparison is of bits: 0.0 and -0.0 differ. With toleranc
 agrees where ``|a - b| <= atol + rtol * max|a|``, the maximum over all the signal's rows and
 elements, or where both are NaN. Values of b are converted to the unit of a.
 
-Runs of different instants are compared at those of a. Between two rows of b a continuous signal is
-a straight line, and any other keeps its value; where b jumps, its later value counts, but for the
-earlier one of a that jumps there, too. NaN of a signal that may have no value is no row of it. In a
-tube a value of a is right if b has it, within the tolerance, at some instant no farther away than
-the tube is wide, and so is one of b.
+Runs of different instants are compared at those of a. Between two rows of b a signal that is
+continuous in both is a straight line, and any other keeps its value; where b jumps, its later value
+counts, but for the earlier one of a that jumps there, too. NaN of a signal that may have no value,
+as its log says, is no row of it; nor is an empty cell of a table. In a tube a value of a is right
+if b has it, within the tolerance, at some instant no farther away than the tube is wide, and so is
+one of b.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from cosim.core.recorded.partial import declared_channels
 from cosim.core.recorded.selection import is_pattern, matches, select_signals
 from cosim.core.recorded.signals import RecordedPort, find_signal
 from cosim.core.recording import Recording, SignalEvent
-from cosim.errors import LogError, UnknownSignalError, UsageError, nearest, option
+from cosim.errors import LogError, UnknownSignalError, UsageError, listing, nearest, option
 from cosim.instants import NANOSECONDS
 from cosim.log.difference import (
     LEFT_OUT,
@@ -130,9 +131,11 @@ def diff(
             f"{a.label} and {b.label} have no recorded signal in common: one of them is partial"
         )
     tube_ns = round(tube * NANOSECONDS) if between else None
-    notes = [compare(a, b, group, span_ns, tube_ns) for group in groups.values()]
+    for group in groups.values():
+        compare(a, b, group, span_ns, tube_ns)
+    notes = _texts({name: pair.not_compared for name, pair in pairs.items()})
     unread = _unread(a, b, signals, found)
-    notes += [f"{name}: {reason}" for name, reason in unread.items()]
+    notes += _texts(unread)
     events = EventsDifference()
     lacking = [run.label for run in (a, b) if run.left_out is not None]
     if not between and not lacking:
@@ -143,7 +146,7 @@ def diff(
     ordered += [SignalDifference(name, "not read", (0, 0, 0)) for name in unread]
     width = tube if between else None
     compared = tuple(ordered), atol, rtol, events, tol, renamed, width
-    return LogDifference(*compared, tuple(filter(None, notes)))
+    return LogDifference(*compared, tuple(notes))
 
 
 def _check_arguments(
@@ -152,8 +155,8 @@ def _check_arguments(
     for name, run in runs.items():
         if getattr(type(run), "blocks", None) is None:
             raise LogError(
-                f"{name}: expected a recording, got {type(run).__name__} {run!r}; open a log with "
-                "cosim.open_log(path)"
+                f"{name}: expected a recording, got {type(run).__name__} {run!r}; open it with "
+                "cosim.open_recording(path)"
             )
     if not isinstance(tol, Mapping):
         raise UsageError(
@@ -217,9 +220,20 @@ def _found(
         for run, own_name, port in ((a, name, one), (b, name_in_b, other)):
             is_needed = name in renamed or (one is None and other is None)
             if not port and (is_needed or (port is False and name in signals)):
+                if own_name in (run.left_out or {}):
+                    raise LogError(f"{run.label}: {own_name}: {(run.left_out or {})[own_name]}")
                 find_signal(run.channels, own_name, source=run.label)  # which says why
         found[name] = (one, other)
     return found
+
+
+def _texts(reasons: Mapping[str, str]) -> list[str]:
+    """Return each reason with the signals that have it."""
+    names: dict[str, list[str]] = {}
+    for name, reason in reasons.items():
+        if reason:
+            names.setdefault(reason, []).append(name)
+    return [f"{listing(own)}: {reason}" for reason, own in names.items()]
 
 
 def _unread(

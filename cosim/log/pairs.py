@@ -15,10 +15,19 @@ from cosim.core.recorded.joined_rows import numbered_instants
 from cosim.core.recorded.partial import declared_channels
 from cosim.core.recorded.signals import RecordedPort
 from cosim.core.recording import Recording, TimedRows, joined
-from cosim.instants import NANOSECONDS
 from cosim.log.between import distance, distance_within, held_elements, measured, values_at
 from cosim.log.difference import DifferenceStatus, ElementDifference, SignalDifference
+from cosim.log.text import exact_seconds
 from cosim.units import Conversion
+
+_Extent: TypeAlias = tuple[int, ...]  # first and last instant [ns]; empty: there is none
+
+
+def _extended(span: _Extent, times: Nanoseconds) -> _Extent:
+    """Return a span that has more times, too."""
+    if not len(times):
+        return span
+    return min([*span, int(times[0])]), max([*span, int(times[-1])])
 
 
 @final
@@ -48,6 +57,8 @@ class Pair:
     scale: float = 0.0
     largest: float = 0.0
     first: ElementDifference | None = None
+    spans: tuple[_Extent, _Extent] = ((), ())  # of a and b
+    is_longer_in_b: bool = False  # b has rows before or after all of a, which are not compared
 
     @property
     def tolerance(self) -> float:
@@ -76,6 +87,23 @@ class Pair:
         in_a, in_b, compared = map(sum, zip(self.rows, counts, strict=True))
         self.rows = in_a, in_b, compared
 
+    def extend_spans(self, a: Nanoseconds, b: Nanoseconds) -> None:
+        """Take more instants of both into account."""
+        self.spans = _extended(self.spans[0], a), _extended(self.spans[1], b)
+
+    @property
+    def not_compared(self) -> str:
+        """What is not, as the other run has nothing there; empty: nothing."""
+        if not all(self.spans):
+            return ""
+        in_a, in_b = (" s to ".join(exact_seconds(np.array(span))) for span in self.spans)
+        if not self.rows[2]:
+            return (
+                f"no instant in common, a has rows from {in_a} s, b from {in_b} s; a recording "
+                "begins at t = 0 in a run in which it takes the place of a component (swap)"
+            )
+        return f"b has rows from {in_b} s, a only from {in_a} s" if self.is_longer_in_b else ""
+
     def take(
         self,
         times: Nanoseconds,
@@ -91,9 +119,9 @@ class Pair:
         self.is_equal = self.is_equal and bool(same_bits.all())
         by_bits = apart is None and self.is_exact
         sizes = as_columns(distance(a, b) if apart is None else apart)
-        outside = np.isinf(sizes) | ~(sizes <= self.tolerance)
-        if by_bits:
-            outside = ~same_bits
+        if apart is None and self.a.signal.optional:
+            sizes[is_absent(a) != is_absent(b)] = np.inf
+        outside = ~same_bits if by_bits else np.isinf(sizes) | ~(sizes <= self.tolerance)
         self.largest = max(self.largest, float(sizes.max(initial=0.0)))
         if outside.any():
             row, column = divmod(int(outside.argmax()), outside.shape[1])
@@ -137,8 +165,8 @@ def compare(
     group: Sequence[Pair],
     span_ns: tuple[int, int] | None,
     tube_ns: int | None,
-) -> str:
-    """Compare signals of one component of each; return what was not; ``tube_ns``: not shared."""
+) -> None:
+    """Compare signals of one component of each; ``tube_ns`` is None at shared instants."""
     first = group[0]
     if tube_ns is None and any(pair.rtol for pair in group):  # of the scale of the whole signal
         for _, rows in blocks_of_port(a, first.a, span_ns):
@@ -147,31 +175,21 @@ def compare(
     blocks = blocks_of_port(a, first.a, span_ns), blocks_of_port(b, first.b, span_ns)
     thinned = _is_thinned(a, first.a), _is_thinned(b, first.b)
     if tube_ns is None:
-        spans = _compare_shared(group, *blocks, thinned)
-    else:
-        held = [(held_elements(a, pair.a), held_elements(b, pair.b)) for pair in group]
-        spans = _compare_between(group, *blocks, held, tube_ns, thinned[1])
-    return _apart_in_time(first, *spans, is_between=tube_ns is not None)
-
-
-# of a run: its first and last instant, [ns]; empty: it has no rows
-_Extent: TypeAlias = tuple[int, ...]
-
-
-def _apart_in_time(pair: Pair, a: _Extent, b: _Extent, *, is_between: bool) -> str:
-    """Return what of two runs is not compared as the other has nothing there; empty: nothing."""
-    if not a or not b:
-        return ""
-    in_a, in_b = (f"{begin / NANOSECONDS} s to {end / NANOSECONDS} s" for begin, end in (a, b))
-    name = pair.a.channel.name
-    if not any(pair.rows[2:]):
-        return (
-            f"{name}: no instant in common, a has rows from {in_a}, b from {in_b}; a recording "
-            "begins at t = 0 in a run in which it takes the place of a component (swap)"
+        _compare_shared(group, *blocks, thinned)
+        return
+    (times_a, rows_a), (times_b, rows_b) = map(joined, blocks)
+    for pair in group:
+        pair.extend_scale(rows_a)
+        values_a, values_b = rows_a[:, pair.a.columns], pair.converted(rows_b[:, pair.b.columns])
+        nan_is_gap = any(
+            port.signal.optional and run.left_out is None
+            for run, port in ((a, pair.a), (b, pair.b))
         )
-    if is_between and (b[0] < a[0] or b[1] > a[1]):
-        return f"{name}: b has rows from {in_b}, a only from {in_a}"
-    return ""
+        held = zip(held_elements(a, pair.a), held_elements(b, pair.b), strict=True)
+        for element, is_held in enumerate(map(any, held)):
+            one = measured(times_a, values_a[:, element], nan_is_gap)
+            other = measured(times_b, values_b[:, element], nan_is_gap)
+            _compare_element(pair, element, one, other, not is_held, tube_ns, thinned[1])
 
 
 # --- at the instants of both ---
@@ -182,14 +200,9 @@ def _compare_shared(
     a: Iterator[TimedRows],
     b: Iterator[TimedRows],
     thinned: tuple[bool, bool],
-) -> tuple[_Extent, _Extent]:
-    """Compare signals of a component of each; a run that is thinned need not have all rows.
-
-    Returns the spans of time of both.
-    """
-    spans: tuple[_Extent, _Extent] = ((), ())
+) -> None:
+    """Compare signals of a component of each; a run that is thinned need not have all rows."""
     for (times_a, rows_a), (times_b, rows_b) in windows(a, b):
-        spans = _extended(spans[0], times_a), _extended(spans[1], times_b)
         shared = _shared(times_a, times_b)
         for pair in group:
             pair.extend_scale(rows_a)
@@ -199,6 +212,7 @@ def _compare_shared(
             own_a, own_b = shared if is_whole else _shared(one[0], other[0])
             times = one[0][own_a]
             pair.add_rows(len(one[0]), len(other[0]), len(times))
+            pair.extend_spans(one[0], other[0])
             pair.take(times, one[1][own_a], pair.converted(other[1])[own_b])
     for pair in group:
         in_a, in_b, compared = pair.rows
@@ -207,14 +221,6 @@ def _compare_shared(
             or (in_b > compared and not thinned[0])
             or bool(in_a and in_b and not compared)
         )
-    return spans
-
-
-def _extended(span: _Extent, times: Nanoseconds) -> _Extent:
-    """Return a span up to the last of more times."""
-    if not len(times):
-        return span
-    return (span[0] if span else int(times[0])), int(times[-1])
 
 
 def _shared(a: Nanoseconds, b: Nanoseconds) -> tuple[Any, Any]:
@@ -269,31 +275,6 @@ def windows(
 # --- at the instants of a ---
 
 
-def _compare_between(
-    group: Sequence[Pair],
-    a: Iterator[TimedRows],
-    b: Iterator[TimedRows],
-    held: Sequence[tuple[Sequence[bool], Sequence[bool]]],
-    tube_ns: int,
-    b_is_thinned: bool,
-) -> tuple[_Extent, _Extent]:
-    """Compare signals of a component at all instants of a that lie within b, or near it.
-
-    In a tube those of b within a are compared with what a has near them: between the instants of a
-    around them, at least, as what a has there is not known. Returns the spans of time of both.
-    """
-    (times_a, rows_a), (times_b, rows_b) = joined(a), joined(b)
-    for pair, (held_a, held_b) in zip(group, held, strict=True):
-        pair.extend_scale(rows_a)
-        values_a, values_b = rows_a[:, pair.a.columns], pair.converted(rows_b[:, pair.b.columns])
-        for element in range(pair.a.size):
-            one = measured(pair.a, times_a, values_a[:, element])
-            other = measured(pair.b, times_b, values_b[:, element])
-            is_line = not (held_a[element] or held_b[element])
-            _compare_element(pair, element, one, other, is_line, tube_ns, b_is_thinned)
-    return _extended((), times_a), _extended((), times_b)
-
-
 def _compare_element(
     pair: Pair,
     element: int,
@@ -303,8 +284,17 @@ def _compare_element(
     tube_ns: int,
     b_is_thinned: bool,
 ) -> None:
+    """Compare an element at all instants of a that lie within b, or near it.
+
+    In a tube those of b within a are compared with what a has near them: between the instants of a
+    around them, at least, as what a has there is not known.
+    """
     known_a, _ = a
     known_b, _ = b
+    pair.extend_spans(known_a, known_b)
+    pair.is_longer_in_b |= bool(
+        len(known_a) and len(known_b) and (known_b[0] < known_a[0] or known_b[-1] > known_a[-1])
+    )
     times, values = _within(*a, known_b, tube_ns)
     if len(times):
         own = values_at(times, *b, is_line)

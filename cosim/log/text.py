@@ -190,9 +190,9 @@ def exact_seconds(time_ns: Nanoseconds) -> list[str]:
     """Return times as decimals of seconds, exactly; a double reads back the time [s] of a log."""
     texts = []
     for time in time_ns.tolist():
-        whole, fraction = divmod(time, NANOSECONDS)
+        whole, fraction = divmod(abs(time), NANOSECONDS)
         digits = f"{fraction:09d}".rstrip("0") or "0"
-        texts.append(f"{whole}.{digits}")
+        texts.append(f"{'-' if time < 0 else ''}{whole}.{digits}")
     return texts
 
 

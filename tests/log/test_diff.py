@@ -499,6 +499,15 @@ def test_a_tube_does_not_bridge_nan(variability):
         assert one(near, late, tube=STEP / 2).status == "outside"
 
 
+def test_a_tube_finds_nan_on_a_line_to_it():
+    """Not only at a row; and a number nowhere on it."""
+    b = Run({"y": [0.0, np.nan]}, [0, 4])
+    a = Run({"y": [0.0, np.nan, np.nan]}, [0, 0, 4])
+    assert one(a, b, interpolate=True).status == "outside"
+    assert one(a, b, tube=STEP).status == "within"
+    assert one(Run({"y": [0.0, 1.0]}, [0, 4]), b, tube=STEP).status == "outside"
+
+
 def test_elements_have_rows_of_their_own():
     """As two columns of a table have that were sampled in turn; nothing is between NaN and them."""
     turns = np.array([[0.0, np.nan], [np.nan, 1.0], [2.0, np.nan], [np.nan, 3.0]])
@@ -516,7 +525,7 @@ def test_what_one_run_has_alone_is_not_compared_and_said():
         difference = diff(short, long, **options)
         assert difference.within
         assert difference.not_compared == (
-            "c: b has rows from 0.0 s to 0.002 s, a only from 0.0 s to 0.001 s",
+            "c.y: b has rows from 0.0 s to 0.002 s, a only from 0.0 s to 0.001 s",
         )
         assert not diff(long, short, **options).within
     assert "no instant in common" in diff(short, Run({"y": [0.0]}, [10**9])).not_compared[0]

@@ -249,11 +249,14 @@ class RecordedTable(NamedTuple):
 def recorded_table(path: Path) -> RecordedTable:
     """Read a table as a recording: rows of one time are those of a jump, and NaN is a value.
 
-    An empty cell is ABSENT.
+    Infinity is one, too; an empty cell is ABSENT.
     """
     form = FieldForm.model_validate({"path": str(path)})
     table = read_table(path, form)
     unread = dict(table.left_out)
+    for header in table.headers:
+        if not header.text and not header.is_index:
+            unread[f"column {header.position + 1}"] = "it has no name"
     data, time_ns = _table_data(table, form, unread, jumps=True)
     return RecordedTable(data, time_ns, unread)
 
@@ -269,7 +272,7 @@ def _table_data(
     signals = []
     for name, parts in chosen.items():
         try:
-            columns = [table.values(part.position) for part in parts]
+            columns = [table.values(part.position, finite=not jumps) for part in parts]
         except UsageError as error:
             if unread is None:
                 raise

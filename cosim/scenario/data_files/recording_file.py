@@ -258,6 +258,8 @@ def _messages(path: Path) -> FileRun:
         )
     components: dict[str, _ComponentSamples] = {}
     for topic in found.topics:
+        if not topic.topic:
+            raise LogError(f"{path}: expected topics with names, got one without")
         signals = []
         for name, values, is_discrete in topic.fields:
             signal = Signal(

@@ -309,13 +309,14 @@ class DataTable:
                 raise UsageError(f"{self.cell(row, position)}: expected a finite time, got {found}")
         return stamps
 
-    def values(self, position: int) -> Vector:
+    def values(self, position: int, *, finite: bool = True) -> Vector:
         """Return the numbers of a column; NaN: not measured, ABSENT: the cell is empty.
 
         Raises
         ------
         UsageError
-            If it has something else, an infinite number, or an integer that is no float64.
+            If it has something else, an integer that is no float64, or an infinite number where
+            they have to be finite.
         """
         header = self.headers[position]
         if header.stamp_unit is not None:
@@ -331,7 +332,7 @@ class DataTable:
         for row in np.flatnonzero(np.isnan(values)).tolist():
             values[row] = ABSENT if written[row] is None else NAN
         for row in np.flatnonzero(np.abs(values) >= EXACT).tolist():
-            if math.isinf(values[row]):
+            if math.isinf(values[row]) and finite:
                 raise UsageError(
                     f"{self.cell(row, position)}: expected a finite number, got {values[row]}"
                 )

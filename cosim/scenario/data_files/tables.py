@@ -82,13 +82,15 @@ class ParquetTable(DataTable):
             names: list[str] = list(schema.names)
             rows = self._file.metadata.num_rows
         self._types = schema.types
+        # null is that of a column of empty cells
+        numeric = [pyarrow.types.is_integer, pyarrow.types.is_floating, pyarrow.types.is_null]
         entries = _pandas_index(schema)
         for position, (name, column) in enumerate(zip(names, schema, strict=True)):
             kind = column.type
             is_stamp = pyarrow.types.is_timestamp(kind) or pyarrow.types.is_duration(kind)
             header = replace(
                 Header.parse(name, position),
-                is_number=pyarrow.types.is_integer(kind) or pyarrow.types.is_floating(kind),
+                is_number=any(is_kind(kind) for is_kind in numeric),
                 stamp_unit=kind.unit if is_stamp else None,
                 is_index=name in entries,
             )

@@ -146,16 +146,52 @@ def test_a_table_is_shown_as_it_was_written(tmp_path):
 
 
 @pytest.mark.parametrize("ending", ENDINGS)
-def test_nan_is_a_value(tmp_path, ending):
-    """As that of an estimate before there is one; a file has it as the log has."""
+def test_nan_and_infinity_are_values(tmp_path, ending):
+    """As of an estimate before there is one; a file has them as the log has, none is a gap."""
     with Memory() as memory:
         interface = Interface((), (Signal("y"), Signal("z")))
-        memory.begin(Plan(Layout((Channel("a", interface, 0),)), 1_000_000, {}, {}, ()))
+        memory.begin(
+            Plan(Layout((Channel("a", interface, 0),)), 1_000_000, {}, {"a": np.zeros(0, bool)}, ())
+        )
         times = np.arange(3) * 1_000_000
-        rows = np.array([[np.nan, np.nan], [1.0, np.nan], [2.0, 3.0]])
+        rows = np.array([[np.nan, np.nan], [1.0, -np.inf], [2.0, 3.0]])
         memory.write(Block(0, times, times / 1e9, 1e-3), rows)
     convert(LogChoice.of(memory), tmp_path / f"a{ending}")
-    assert cosim.diff(memory, cosim.open_recording(tmp_path / f"a{ending}")).equal
+    found = cosim.open_recording(tmp_path / f"a{ending}")
+    assert cosim.diff(memory, found).equal
+    numbers = table(tmp_path, "t,a.y,a.z\n0,0,1\n0.001,1,2\n0.002,2,3\n")
+    for options in ({}, {"interpolate": True}, {"tube": 1e-4}):
+        for runs in ((found, numbers), (numbers, found), (memory, numbers), (numbers, memory)):
+            difference = cosim.diff(*runs, **options, atol=1e9)
+            assert [row.status for row in difference.rows] == ["outside", "outside"]
+
+
+def test_an_empty_cell_is_no_nan(tmp_path):
+    """Of one element of a vector, neither with a tolerance nor without."""
+    empty, nan = (table(tmp_path, f"t,x[0],x[1]\n0,1,1\n1,2,{own}\n2,3,3\n") for own in ("", "nan"))
+    for options in ({}, {"atol": 1.0}):
+        assert not cosim.diff(empty, nan, **options).within
+    assert not cosim.diff(nan, empty, interpolate=True).within
+
+
+def test_what_a_signal_has_beyond_the_other_is_said_of_it_alone(tmp_path):
+    """Though another signal of its component has rows there."""
+    a = table(tmp_path, "t,x,y\n0,1,1\n1,1,1\n2,,1\n")
+    b = table(tmp_path, "t,x,y\n0,1,1\n1,1,1\n2,9,1\n")
+    difference = cosim.diff(a, b, interpolate=True)
+    assert difference.within
+    assert difference.not_compared == (
+        "table.x: b has rows from 0.0 s to 2.0 s, a only from 0.0 s to 1.0 s",
+    )
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_times_before_zero_are_read_again(tmp_path, ending):
+    """Also those that are no whole seconds."""
+    run = table(tmp_path, "t,y\n-1.25,1\n-0.1,2\n0.5,3\n")
+    convert(LogChoice.of(run), tmp_path / f"b{ending}")
+    found = cosim.open_recording(tmp_path / f"b{ending}")
+    assert found.time_ns("table").tolist() == [-1_250_000_000, -100_000_000, 500_000_000]
 
 
 @pytest.mark.parametrize("ending", ["", *ENDINGS])
