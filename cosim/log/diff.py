@@ -131,13 +131,15 @@ def diff(
             f"{a.label} and {b.label} have no recorded signal in common: one of them is partial"
         )
     tube_ns = round(tube * NANOSECONDS) if between else None
+    lacking = [run.label for run in (a, b) if run.left_out is not None]
     for group in groups.values():
         compare(a, b, group, span_ns, tube_ns)
     notes = _texts({name: pair.not_compared for name, pair in pairs.items()})
+    if lacking and any(not pair.rows[2] for pair in pairs.values() if all(pair.rows[:2])):
+        notes.append("a recording begins at t = 0 in a run, in the place of a component (swap)")
     unread = _unread(a, b, signals, found)
     notes += _texts(unread)
     events = EventsDifference()
-    lacking = [run.label for run in (a, b) if run.left_out is not None]
     if not between and not lacking:
         events = _compare_events(a, b, pairs, span_ns)
     elif lacking and any(run.events() for run in (a, b)):

@@ -98,10 +98,7 @@ class Pair:
             return ""
         in_a, in_b = (" s to ".join(exact_seconds(np.array(span))) for span in self.spans)
         if not self.rows[2]:
-            return (
-                f"no instant in common, a has rows from {in_a} s, b from {in_b} s; a recording "
-                "begins at t = 0 in a run in which it takes the place of a component (swap)"
-            )
+            return f"no instant in common, a has rows from {in_a} s, b from {in_b} s"
         return f"b has rows from {in_b} s, a only from {in_a} s" if self.is_longer_in_b else ""
 
     def take(

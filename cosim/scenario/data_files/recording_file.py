@@ -21,7 +21,7 @@ from cosim.core.recorded.run import RecordedRun
 from cosim.core.recorded.signals import RunMessage
 from cosim.core.recording import TimedRows
 from cosim.core.signals import Channel, Interface, Signal
-from cosim.errors import LogError, UsageError, listing, warn
+from cosim.errors import GraphError, LogError, UsageError, listing, warn
 from cosim.files import read_type
 from cosim.instants import NANOSECONDS
 from cosim.log.conversion import SIGNALS_KEY, TIME_KEY
@@ -74,15 +74,18 @@ def open_recording(path: str | Path) -> RecordedRun:
     path = path_argument("path", path)
     kind = read_type(path)
     has_arrays = kind != "log" and path.suffix.lower() in _ARRAYS
-    run = _arrays(path) if has_arrays else None
-    if run is None:
-        match kind:
-            case "table":
-                run = _table(path)
-            case "log" if is_foreign(path):
-                run = _messages(path)
-            case _:
-                return open_log(path)
+    try:
+        run = _arrays(path) if has_arrays else None
+        if run is None:
+            match kind:
+                case "table":
+                    run = _table(path)
+                case "log" if is_foreign(path):
+                    run = _messages(path)
+                case _:
+                    return open_log(path)
+    except GraphError as error:  # of a name that no signal or component can have
+        raise UsageError(f"{path}: {error}") from error
     warn(warning.text for warning in run.warnings)
     return run
 

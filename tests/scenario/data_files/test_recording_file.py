@@ -318,6 +318,15 @@ def test_what_is_left_out_of_messages_is_said(tmp_path):
     assert "4 more" in str(warned[-1].message)
 
 
+def test_a_name_that_no_signal_can_have_is_refused_with_the_file(tmp_path):
+    """Of a column, and of a topic."""
+    with pytest.raises(UsageError, match=r"a\.csv: signal name"):
+        table(tmp_path, "t,y,x.\n0,1,2\n1,2,3\n")
+    write_json(tmp_path / "a.mcap", {"": [(0, {"y": 1.0})]})
+    with pytest.raises(LogError, match=r"a\.mcap: expected topics with names"):
+        cosim.open_recording(tmp_path / "a.mcap")
+
+
 def test_what_is_no_recording_is_refused(tmp_path):
     """Each by one error that names the file and what was expected."""
     with pytest.raises(UsageError, match=r"a\.csv.*at least 1 ns apart"):
