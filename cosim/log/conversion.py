@@ -29,7 +29,7 @@ from cosim.core.recording import joined
 from cosim.errors import LogError, UsageError, optional_library, warn
 from cosim.instants import EXACT, NANOSECONDS
 from cosim.log.files import UnfinishedLog
-from cosim.log.text import LogChoice, csv_text, signal_metadata
+from cosim.log.text import LogChoice, csv_text, first_instant, signal_metadata
 from cosim.units import units_text
 
 TIME_KEY: Final = "t:"  # before a component's name; no signal has a name without a dot
@@ -122,7 +122,7 @@ def write_parquet(stream: BinaryIO, choice: LogChoice) -> None:
 
 def _is_exact_in_s(choice: LogChoice) -> bool:
     """Return whether a double has every time in s to the ns, as it has not since 1970."""
-    return choice.run.end_ns < EXACT
+    return max(abs(first_instant(choice.run) or 0), abs(choice.run.end_ns)) < EXACT
 
 
 def _by_component(choice: LogChoice) -> Iterator[tuple[str, Vector, dict[str, Matrix]]]:

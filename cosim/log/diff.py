@@ -4,8 +4,8 @@ They are compared at the instants that they share, rows of one instant in their 
 log what it has is compared: signals that it did not record are left out, and so are rows of the
 other run at instants at which it has none.
 
-Without tolerances the comparison is of bits: 0.0 and -0.0 differ. With tolerances a pair of values
-agrees where ``|a - b| <= atol + rtol * max|a|``, the maximum over all the signal's rows and
+Without tolerances the comparison at these is of bits: 0.0 and -0.0 differ. With them a pair of
+values agrees where ``|a - b| <= atol + rtol * max|a|``, the maximum over all the signal's rows and
 elements, or where both are NaN. Values of b are converted to the unit of a.
 
 Runs of different instants are compared at those of a. Between two rows of b a signal that is
@@ -126,10 +126,6 @@ def diff(
             rows[name] = SignalDifference(
                 name, pair, (_count(a, one, span_ns), _count(b, other, span_ns), 0)
             )
-    if rows and all(row.status in LEFT_OUT for row in rows.values()) and not pairs:
-        raise LogError(
-            f"{a.label} and {b.label} have no recorded signal in common: one of them is partial"
-        )
     tube_ns = round(tube * NANOSECONDS) if between else None
     lacking = [run.label for run in (a, b) if run.left_out is not None]
     for group in groups.values():
@@ -142,10 +138,15 @@ def diff(
     events = EventsDifference()
     if not between and not lacking:
         events = _compare_events(a, b, pairs, span_ns)
-    elif lacking and any(run.events() for run in (a, b)):
-        notes.append(f"events: {lacking[0]} has no place for them")
+    elif any(run.events() for run in (a, b)):
+        reason = f"{lacking[0]} has no place for them" if lacking else "not between rows"
+        notes.append(f"events: {reason}")
     ordered = [pairs[name].result() if name in pairs else rows[name] for name in found]
     ordered += [SignalDifference(name, "not read", (0, 0, 0)) for name in unread]
+    if ordered and all(row.status in LEFT_OUT for row in ordered):
+        raise LogError(
+            f"{a.label} and {b.label} have no recorded signal in common: one of them is partial"
+        )
     width = tube if between else None
     compared = tuple(ordered), atol, rtol, events, tol, renamed, width
     return LogDifference(*compared, tuple(notes))

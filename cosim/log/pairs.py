@@ -135,6 +135,8 @@ class Pair:
             status = "outside"
         elif self.has_other_times:
             status = "other times"
+        elif any(self.rows) and not self.rows[2]:  # one of them is thinned
+            status = "not recorded in b" if self.rows[0] else "not recorded in a"
         numbers = (self.largest, self.scale, self.tolerance)
         return SignalDifference(self.name, status, self.rows, *numbers, self.first)
 

@@ -103,15 +103,21 @@ def choose(
     return LogChoice.of(part, None if names is None else split_names(",".join(names)))
 
 
-def rows_text(run: RecordedRun) -> str:
-    """Return from when to when a run has rows."""
+def first_instant(run: RecordedRun) -> int | None:
+    """Return when the first row of a run is [ns]; None: it has no rows."""
     firsts = []
     for name in run.channels:
         blocks = (time_ns for time_ns, _ in run.blocks(name) if len(time_ns))
         firsts += [int(time_ns[0]) for time_ns in islice(blocks, 1)]
-    if not firsts:
+    return min(firsts, default=None)
+
+
+def rows_text(run: RecordedRun) -> str:
+    """Return from when to when a run has rows."""
+    begin = first_instant(run)
+    if begin is None:
         return "no rows at all"
-    first, last = exact_seconds(np.array([min(firsts), run.end_ns]))
+    first, last = exact_seconds(np.array([begin, run.end_ns]))
     return f"rows from {first} s to {last} s"
 
 

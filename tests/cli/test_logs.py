@@ -114,6 +114,8 @@ def test_what_cannot_be_compared_is_said(call, tmp_path):
     code, out, err = call("diff", "e.mcap", "e.csv")
     assert (code, err) == (0, "")
     assert out.splitlines()[-1] == "note: not compared: events: e.csv has no place for them"
+    between = call("diff", "e.mcap", "e.mcap", "--interpolate")[1].splitlines()
+    assert between[-1] == "note: not compared: events: not between rows"
     for name, other in (("x", 1.0), ("y", 2.0)):
         rows = [(0, {"v": 1.0, "mode": 3}), (10**9, {"v": 1.0, "mode": f"at {other}"})]
         write_json(tmp_path / f"{name}.mcap", {"/r": rows})

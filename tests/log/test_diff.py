@@ -339,6 +339,8 @@ def test_rows_that_a_partial_run_does_not_have_are_no_difference():
             diff(*runs, signals=["c.z"])
         with pytest.raises(LogError, match="no recorded signal in common"):
             diff(*runs, signals=["*.z"])
+        with pytest.raises(LogError, match="no recorded signal in common"):
+            diff(*runs, signals=["c.y"], span_ns=(3 * STEP_NS, 3 * STEP_NS))
     late = Run({"y": [4.0]}, [6])
     late.channels = thin.channels
     assert one(thin, late).status == "other times"

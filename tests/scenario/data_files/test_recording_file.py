@@ -187,11 +187,16 @@ def test_what_a_signal_has_beyond_the_other_is_said_of_it_alone(tmp_path):
 
 @pytest.mark.parametrize("ending", ENDINGS)
 def test_times_before_zero_are_read_again(tmp_path, ending):
-    """Also those that are no whole seconds."""
+    """Also those that are no whole seconds, and in tables those long before."""
     run = table(tmp_path, "t,y\n-1.25,1\n-0.1,2\n0.5,3\n")
     convert(LogChoice.of(run), tmp_path / f"b{ending}")
     found = cosim.open_recording(tmp_path / f"b{ending}")
     assert found.time_ns("table").tolist() == [-1_250_000_000, -100_000_000, 500_000_000]
+    run = table(tmp_path, "t,y\n-2208988800.000000001,1\n0,2\n")
+    convert(LogChoice.of(run), tmp_path / f"c{ending}")
+    if ending in (".csv", ".parquet"):
+        found = cosim.open_recording(tmp_path / f"c{ending}")
+        assert found.time_ns("table").tolist() == [-2208988800_000000001, 0]
 
 
 @pytest.mark.parametrize("ending", ["", *ENDINGS])
