@@ -27,7 +27,7 @@ from cosim.arrays import Matrix, Vector
 from cosim.core.recorded.joined_rows import TIME
 from cosim.core.recording import joined
 from cosim.errors import LogError, UsageError, optional_library, warn
-from cosim.instants import EXACT, NANOSECONDS
+from cosim.instants import NANOSECONDS
 from cosim.log.files import UnfinishedLog
 from cosim.log.text import LogChoice, csv_text, first_instant, signal_metadata
 from cosim.units import units_text
@@ -38,6 +38,7 @@ _NOT_DECLARED: Final = {"unit": "", "description": ""}  # a struct has all field
 _LONGEST_NAME: Final = 63  # of a MATLAB variable
 _MOST_ROWS: Final = 2**16  # of a group of Parquet
 _BUFFER_BYTES: Final = 2**20
+_LATEST_IN_S: Final = 2**22 * NANOSECONDS  # ns; up to 49 days doubles in s tell all ns apart
 
 
 def convert(choice: LogChoice, out: Path, *, force: bool = False) -> list[str]:
@@ -122,7 +123,7 @@ def write_parquet(stream: BinaryIO, choice: LogChoice) -> None:
 
 def _is_exact_in_s(choice: LogChoice) -> bool:
     """Return whether a double has every time in s to the ns, as it has not since 1970."""
-    return max(abs(first_instant(choice.run) or 0), abs(choice.run.end_ns)) < EXACT
+    return max(abs(first_instant(choice.run) or 0), abs(choice.run.end_ns)) < _LATEST_IN_S
 
 
 def _by_component(choice: LogChoice) -> Iterator[tuple[str, Vector, dict[str, Matrix]]]:

@@ -113,6 +113,8 @@ def diff(
     between = truth_argument("interpolate", interpolate) or tube > 0.0
     found = _found(a, b, [signals] if isinstance(signals, str) else signals, renamed)
     _check_used(tol, found)
+    if not signals:
+        found |= _namesakes(b, renamed)
     pairs: dict[str, Pair] = {}
     groups: dict[tuple[str, str], list[Pair]] = {}
     rows: dict[str, SignalDifference] = {}
@@ -133,7 +135,7 @@ def diff(
     notes = _texts({name: pair.not_compared for name, pair in pairs.items()})
     if lacking and any(not pair.rows[2] for pair in pairs.values() if all(pair.rows[:2])):
         notes.append("a recording begins at t = 0 in a run, in the place of a component (swap)")
-    unread = _unread(a, b, signals, found)
+    unread = _unread(a, b, signals)
     notes += _texts(unread)
     events = EventsDifference()
     if not between and not lacking:
@@ -142,7 +144,9 @@ def diff(
         reason = f"{lacking[0]} has no place for them" if lacking else "not between rows"
         notes.append(f"events: {reason}")
     ordered = [pairs[name].result() if name in pairs else rows[name] for name in found]
-    ordered += [SignalDifference(name, "not read", (0, 0, 0)) for name in unread]
+    ordered += [
+        SignalDifference(name, "not read", (0, 0, 0)) for name in unread if name not in found
+    ]
     if ordered and all(row.status in LEFT_OUT for row in ordered):
         raise LogError(
             f"{a.label} and {b.label} have no recorded signal in common: one of them is partial"
@@ -230,6 +234,13 @@ def _found(
     return found
 
 
+def _namesakes(b: Recording, renamed: Mapping[str, str]) -> dict[str, tuple[_Port, _Port]]:
+    """Return what b has of the names in a that a map gives other signals."""
+    of_b = select_signals(b.channels, None, source=b.label)
+    names = [name for name in renamed if name in of_b and name not in renamed.values()]
+    return {f"{name} of b": (None, of_b[name]) for name in names}
+
+
 def _texts(reasons: Mapping[str, str]) -> list[str]:
     """Return each reason with the signals that have it."""
     names: dict[str, list[str]] = {}
@@ -239,17 +250,15 @@ def _texts(reasons: Mapping[str, str]) -> list[str]:
     return [f"{listing(own)}: {reason}" for reason, own in names.items()]
 
 
-def _unread(
-    a: Recording, b: Recording, signals: Sequence[str], found: Iterable[str]
-) -> dict[str, str]:
+def _unread(a: Recording, b: Recording, signals: Sequence[str]) -> dict[str, str]:
     """Return what could not be read of either file, of what is asked for, and why."""
     wanted = [signals] if isinstance(signals, str) else signals
-    unread = {}
+    reasons: dict[str, list[str]] = {}
     for run in (a, b):
         for name, reason in (run.left_out or {}).items():
-            if name not in found and (not wanted or any(matches(own, name) for own in wanted)):
-                unread[name] = f"{run.label}: {reason}"
-    return unread
+            if not wanted or any(matches(own, name) for own in wanted):
+                reasons.setdefault(name, []).append(f"{run.label}: {reason}")
+    return {name: "; ".join(own) for name, own in reasons.items()}
 
 
 def _search(run: Recording, name: str) -> _Port:

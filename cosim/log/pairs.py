@@ -116,7 +116,7 @@ class Pair:
         self.is_equal = self.is_equal and bool(same_bits.all())
         by_bits = apart is None and self.is_exact
         sizes = as_columns(distance(a, b) if apart is None else apart)
-        if apart is None and self.a.signal.optional:
+        if apart is None and (self.a.signal.optional or self.b.signal.optional):
             sizes[is_absent(a) != is_absent(b)] = np.inf
         outside = ~same_bits if by_bits else np.isinf(sizes) | ~(sizes <= self.tolerance)
         self.largest = max(self.largest, float(sizes.max(initial=0.0)))

@@ -240,6 +240,8 @@ def test_signals_of_other_names_are_compared_where_a_map_says_so():
     assert one(a, b, map={"c.level": "c.x[1]"}, signals=["c.level"]).first.b == 3.0
     found = statuses(a, Run({"p": [1.0, 2.0], "q": [0.0, 0.0]}), map={"c.level": "c.p"})
     assert found == {"c.y": "only in a", "c.q": "only in b"}
+    namesake = Run({"p": [1.0, 2.0], "y": [0.0, 0.0], "level": [7.0, 7.0]})
+    assert statuses(a, namesake, map={"c.level": "c.p"}) == {"c.level of b": "only in b"}
     swapped = Run({"level": [0.0, 0.0], "y": [1.0, 2.0]})
     assert diff(a, swapped, map={"c.level": "c.y", "c.y": "c.level"}).same_rows
     for wrong in ({"c.level": "c.z"}, {"c.z": "c.x"}):

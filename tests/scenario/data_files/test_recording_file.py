@@ -16,7 +16,7 @@ from cosim.core.recording import Plan
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import CosimWarning, LogError, UnknownSignalError, UsageError
 from cosim.log.conversion import ENDINGS, convert
-from cosim.log.text import LogChoice, csv_text
+from cosim.log.text import LogChoice, csv_text, exact_seconds
 from tests.log.foreign_files import state_class, write_json
 
 HEADER = "t [s],table.a,table.b,table.x[0],table.x[1]"
@@ -192,11 +192,13 @@ def test_times_before_zero_are_read_again(tmp_path, ending):
     convert(LogChoice.of(run), tmp_path / f"b{ending}")
     found = cosim.open_recording(tmp_path / f"b{ending}")
     assert found.time_ns("table").tolist() == [-1_250_000_000, -100_000_000, 500_000_000]
-    run = table(tmp_path, "t,y\n-2208988800.000000001,1\n0,2\n")
-    convert(LogChoice.of(run), tmp_path / f"c{ending}")
-    if ending in (".csv", ".parquet"):
-        found = cosim.open_recording(tmp_path / f"c{ending}")
-        assert found.time_ns("table").tolist() == [-2208988800_000000001, 0]
+    for times in ([-2208988800_000000001, 0], [0, 8500000_000000001]):
+        cells = [f"{time},1" for time in exact_seconds(np.array(times))]
+        run = table(tmp_path, "\n".join(["t,y", *cells]))
+        convert(LogChoice.of(run), tmp_path / f"c{ending}", force=True)
+        if ending in (".csv", ".parquet"):
+            found = cosim.open_recording(tmp_path / f"c{ending}")
+            assert found.time_ns("table").tolist() == times
 
 
 @pytest.mark.parametrize("ending", ["", *ENDINGS])
