@@ -237,6 +237,14 @@ def listing(names: Sequence[str], most: int = 5) -> str:
     return f"{text}, and {omitted} more" if omitted > 0 else text
 
 
+def names_by_reason(reasons: Mapping[str, str]) -> dict[str, list[str]]:
+    """Return for each reason the names that have it, in their order."""
+    names: dict[str, list[str]] = {}
+    for name, reason in reasons.items():
+        names.setdefault(reason, []).append(name)
+    return names
+
+
 def steps_text(steps: float) -> str:
     """Return a number of communication steps in words: ``1 communication step``."""
     return f"{steps:g} communication step{'' if steps == 1 else 's'}"

@@ -32,7 +32,15 @@ from cosim.core.recorded.partial import declared_channels
 from cosim.core.recorded.selection import is_pattern, matches, select_signals
 from cosim.core.recorded.signals import RecordedPort, find_signal
 from cosim.core.recording import Recording, SignalEvent
-from cosim.errors import LogError, UnknownSignalError, UsageError, listing, nearest, option
+from cosim.errors import (
+    LogError,
+    UnknownSignalError,
+    UsageError,
+    listing,
+    names_by_reason,
+    nearest,
+    option,
+)
 from cosim.instants import NANOSECONDS
 from cosim.log.difference import (
     LEFT_OUT,
@@ -111,9 +119,10 @@ def diff(
     renamed = map or {}
     _check_arguments({"a": a, "b": b}, atol, rtol, tol, tube)
     between = truth_argument("interpolate", interpolate) or tube > 0.0
-    found = _found(a, b, [signals] if isinstance(signals, str) else signals, renamed)
+    wanted = [signals] if isinstance(signals, str) else signals
+    found = _found(a, b, wanted, renamed)
     _check_used(tol, found)
-    if not signals:
+    if not wanted:
         found |= _namesakes(b, renamed)
     pairs: dict[str, Pair] = {}
     groups: dict[tuple[str, str], list[Pair]] = {}
@@ -135,7 +144,7 @@ def diff(
     notes = _texts({name: pair.not_compared for name, pair in pairs.items()})
     if lacking and any(not pair.rows[2] for pair in pairs.values() if all(pair.rows[:2])):
         notes.append("a recording begins at t = 0 in a run, in the place of a component (swap)")
-    unread = _unread(a, b, signals)
+    unread = _unread(a, b, wanted)
     notes += _texts(unread)
     events = EventsDifference()
     if not between and not lacking:
@@ -227,8 +236,9 @@ def _found(
         for run, own_name, port in ((a, name, one), (b, name_in_b, other)):
             is_needed = name in renamed or (one is None and other is None)
             if not port and (is_needed or (port is False and name in signals)):
-                if own_name in (run.left_out or {}):
-                    raise LogError(f"{run.label}: {own_name}: {(run.left_out or {})[own_name]}")
+                reason = (run.left_out or {}).get(own_name)
+                if reason is not None:
+                    raise LogError(f"{run.label}: {own_name}: {reason}")
                 find_signal(run.channels, own_name, source=run.label)  # which says why
         found[name] = (one, other)
     return found
@@ -243,16 +253,12 @@ def _namesakes(b: Recording, renamed: Mapping[str, str]) -> dict[str, tuple[_Por
 
 def _texts(reasons: Mapping[str, str]) -> list[str]:
     """Return each reason with the signals that have it."""
-    names: dict[str, list[str]] = {}
-    for name, reason in reasons.items():
-        if reason:
-            names.setdefault(reason, []).append(name)
-    return [f"{listing(own)}: {reason}" for reason, own in names.items()]
+    groups = names_by_reason(reasons).items()
+    return [f"{listing(names)}: {reason}" for reason, names in groups if reason]
 
 
-def _unread(a: Recording, b: Recording, signals: Sequence[str]) -> dict[str, str]:
+def _unread(a: Recording, b: Recording, wanted: Sequence[str]) -> dict[str, str]:
     """Return what could not be read of either file, of what is asked for, and why."""
-    wanted = [signals] if isinstance(signals, str) else signals
     reasons: dict[str, list[str]] = {}
     for run in (a, b):
         for name, reason in (run.left_out or {}).items():

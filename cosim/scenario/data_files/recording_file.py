@@ -21,7 +21,7 @@ from cosim.core.recorded.run import RecordedRun
 from cosim.core.recorded.signals import RunMessage
 from cosim.core.recording import TimedRows
 from cosim.core.signals import Channel, Interface, Signal
-from cosim.errors import GraphError, LogError, UsageError, listing, warn
+from cosim.errors import GraphError, LogError, UsageError, listing, names_by_reason, warn
 from cosim.files import read_type
 from cosim.instants import NANOSECONDS
 from cosim.log.conversion import SIGNALS_KEY, TIME_KEY
@@ -282,10 +282,8 @@ def _messages(path: Path) -> FileRun:
 
 
 def _left_out_texts(left_out: Mapping[str, str]) -> list[str]:
-    """Return a text for each reason to leave something out, at most ten."""
-    names: dict[str, list[str]] = defaultdict(list)
-    for name, reason in left_out.items():
-        names[reason].append(name)
+    """Return a text for each of the first ten reasons, and one for how much more is left out."""
+    names = names_by_reason(left_out)
     texts = [f"left out: {listing(own)}: {reason}" for reason, own in names.items()]
     more = sum(len(own) for own in list(names.values())[_MOST_WARNINGS:])
     return texts[:_MOST_WARNINGS] + ([f"left out: {more} more"] if more else [])
